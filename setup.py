@@ -1,8 +1,8 @@
 """Lists the packages for setuptools; everything else is in pyproject.toml.
 
-The folders agents/ and examples/ are installed as hframe_gym.agents and hframe_gym.examples, which no option of
-pyproject.toml can find by itself. A checkout may have agents/ as the link hframe_gym/agents besides; the link must not
-change what is built.
+The folders agents/ and examples/ are installed as hframe_gym.agents and hframe_gym.examples, which no option
+of pyproject.toml can find by itself. A checkout may have agents/ as the link hframe_gym/agents besides; the
+link must not change what is built.
 """
 
 from setuptools import find_packages, setup

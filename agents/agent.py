@@ -1,7 +1,8 @@
 """A trained policy as a controller, and its files.
 
-A folder holds policy.safetensors (weights), agent.json (how to build the policy) and machine.json (the machine on which
-it was trained). Loading them executes no code from the folder, so an agent may come from an untrusted source.
+A folder holds policy.safetensors (weights), agent.json (how to build the policy) and machine.json (the
+machine on which it was trained). Loading them executes no code from the folder, so an agent may come from an
+untrusted source.
 """
 
 from __future__ import annotations
@@ -50,7 +51,8 @@ def policy_keywords(policy: Mapping[str, Any], features: Mapping[str, Any]) -> d
     """Build `policy_kwargs` of a stable-baselines3 algorithm, with `LogScaleFeatures` as the input layer.
 
     Args:
-        policy: Keyword arguments of the policy class, for example layer sizes: the table [policy] of a recipe.
+        policy: Keyword arguments of the policy class, for example layer sizes: the table [policy] of a
+            recipe.
         features: Keyword arguments of `LogScaleFeatures`: kinematics of the machine and gains of controllers.
     """
     import_optional("stable_baselines3")
@@ -64,7 +66,7 @@ def policy_keywords(policy: Mapping[str, Any], features: Mapping[str, Any]) -> d
 
 
 def policy_class(kind: str, actuation: Mapping[str, Any]) -> Any:
-    """Return the class of the policy that an algorithm of `ALGORITHMS` needs for observations with several keys (dict).
+    """Return the class of the policy that an algorithm of `ALGORITHMS` needs for dict observations.
 
     "apg" uses the policy of PPO, "sac" uses `LawPolicy` where the observation has the parts of the action.
 
@@ -75,7 +77,8 @@ def policy_class(kind: str, actuation: Mapping[str, Any]) -> Any:
         ImportError: If the extra `agents` is not installed.
     """
     if kind == "crossq":
-        # CrossQ has no policy for dicts. This one accepts them, because its first layer is `LogScaleFeatures`.
+        # CrossQ has no policy for dicts. This one accepts them, because its first layer is
+        # `LogScaleFeatures`.
         return import_optional("sb3_contrib.crossq").MlpPolicy
     if kind == "sac" and actuation.get("parts"):
         import_optional("stable_baselines3")
@@ -87,12 +90,13 @@ def policy_class(kind: str, actuation: Mapping[str, Any]) -> Any:
 
 
 class Agent(Controller):
-    """Controller of any number of environments that applies the mean action of a trained policy, without exploration.
+    """Controller of environments that applies the mean action of a trained policy, without exploration.
 
     Args:
         policy: Policy of stable-baselines3.
         mapping: Converts outputs of the policy to actions; None if the outputs are the actions.
-        card: Contents of agent.json (`AGENT_KEYS`: recipe, task, control period, ...); further entries are not saved.
+        card: Contents of agent.json (`AGENT_KEYS`: recipe, task, control period, ...); further entries are
+            not saved.
 
     Raises:
         InputError: If the control period in the card is not positive.
@@ -138,7 +142,7 @@ class Agent(Controller):
 
     @override
     def replace_last_action(self, actions: NDArray[np.float64]) -> None:
-        """Replace the stored last action, which the policy may observe in the next period, with the applied one."""
+        """Replace the stored last action, which the policy may observe next, with the applied one."""
         if self.mapping:
             self.mapping.replace_last_action(actions)
 
@@ -148,11 +152,11 @@ class Agent(Controller):
             self.mapping.reset(mask)
 
     def structural_mismatch(self, machine: Machine) -> str | None:
-        """Describe in a clause, such as "was trained on ...", why the agent cannot run on a machine; or None."""
+        """Say in a clause, such as "was trained on ...", why the agent cannot run on a machine; or None."""
         return structural_mismatch(self.machine, machine)
 
     def mismatch(self, machine: Machine, period: float, sensors: SensorsLike = "state") -> str | None:
-        """Return one line if an evaluation differs from the agent's training in machine, control period or sensors.
+        """Return one line if an evaluation differs from the training in machine, control period or sensors.
 
         Args:
             period: Control period of the evaluation, s.
@@ -176,15 +180,15 @@ class Agent(Controller):
         return f"agent {self.card['name']}: {'; '.join(differences)}. Its scores may be poor."
 
     def weights(self) -> dict[str, Any]:
-        """Copy the weights that an agent needs to run, by name; those of the critics are needed for training only."""
+        """Copy the weights that an agent needs to run, by name; training alone needs those of the critics."""
         state = self.policy.state_dict()
         return {name: v.detach().clone() for name, v in state.items() if not name.startswith(CRITIC_PREFIXES)}
 
     def save(self, folder: str | Path, weights: Mapping[str, Any] | None = None) -> None:
         """Write the agent to a folder, from which `load` reads it.
 
-        The files are policy.safetensors (weights), agent.json (how to build the policy) and machine.json (machine of
-        the training). They are replaced together when all three are complete.
+        The files are policy.safetensors (weights), agent.json (how to build the policy) and machine.json
+        (machine of the training). They are replaced together when all three are complete.
 
         Args:
             folder: Folder for the files; created if it does not exist.
@@ -204,12 +208,14 @@ class Agent(Controller):
         """Load an agent, ready to run, from a folder that `save` or the command `hframe train` wrote.
 
         Args:
-            machine: Machine for which the agent's feedback laws, base controller, estimator of parameters and features
-                are designed, such as an identified one; the weights stay as they are. Default: that of the training.
+            machine: Machine for which the agent's feedback laws, base controller, estimator of parameters and
+                features are designed, such as an identified one; the weights stay as they are. Default: that
+                of the training.
 
         Raises:
-            InputError: If a file is missing, damaged or of another version, or the machine has other numbers of axes,
-                observed coordinates or drives than that of the training, or lacks a transfer of the agent.
+            InputError: If a file is missing, damaged or of another version, or the machine has other numbers
+                of axes, observed coordinates or drives than that of the training, or lacks a transfer of the
+                agent.
             ImportError: If the extra `agents` is not installed.
         """
         path = Path(folder)
@@ -246,7 +252,7 @@ class Agent(Controller):
 
 
 def _no_optimizer(*_: Any, **__: Any) -> None:
-    """Return None in place of an optimizer, which only training uses; importing PyTorch's takes more than a second."""
+    """Return None in place of an optimizer, which training uses; importing PyTorch's takes over a second."""
 
 
 def load_weights(policy: Any, folder: Path) -> None:
@@ -255,8 +261,8 @@ def load_weights(policy: Any, folder: Path) -> None:
     The weights of the critics, which estimate returns in training, are not in the file and stay unchanged.
 
     Raises:
-        InputError: If the file is missing or damaged, lacks weights of the policy, or has weights that the policy lacks
-            or that are not finite.
+        InputError: If the file is missing or damaged, lacks weights of the policy, or has weights that the
+            policy lacks or that are not finite.
         ImportError: If the extra `agents` is not installed.
     """
     safetensors = import_optional("safetensors.torch")

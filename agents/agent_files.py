@@ -1,6 +1,7 @@
 """Read the files of agents and of training runs as data, before anything is built from them.
 
-agent.json says how to build the policy of an agent. card.json says how the agent was trained, and how well it performs.
+agent.json says how to build the policy of an agent. card.json says how the agent was trained, and how well it
+performs.
 """
 
 from __future__ import annotations
@@ -103,8 +104,8 @@ def read_agent_json(folder: Path) -> dict[str, Any]:
     """Read agent.json, which says how to build the policy of an agent, and check its values and the folder.
 
     Raises:
-        InputError: If a file is missing, or agent.json is damaged, of another version, lacks an entry or has a value of
-            the wrong type or out of range.
+        InputError: If a file is missing, or agent.json is damaged, of another version, lacks an entry or has
+            a value of the wrong type or out of range.
     """
     for name in AGENT_FILES:
         if not (folder / name).is_file():
@@ -126,15 +127,17 @@ def read_agent_json(folder: Path) -> dict[str, Any]:
 
 
 def refuse_to_replace(folder: Path, recipe: str, task: str, machine: str, seed: int, alone: bool) -> None:
-    """Raise an error if a folder holds an agent or the checkpoint of a training run, which new files would replace.
+    """Raise an error if a folder holds an agent or a run's checkpoint, which new files would replace.
 
     Args:
         folder: Folder for the files of a training run; it need not exist.
-        alone: Whether the command trains this seed only. Only then does it accept --resume, which the message proposes.
+        alone: Whether the command trains this seed only. Only then does it accept --resume, which the message
+            proposes.
 
     Raises:
-        InputError: If the folder holds such files. The message says what they are and how to replace the run in the
-            folder or to continue it, which is possible if that run has a checkpoint and the same settings.
+        InputError: If the folder holds such files. The message says what they are and how to replace the run
+            in the folder or to continue it, which is possible if that run has a checkpoint and the same
+            settings.
     """
     complete_commit(folder)
     files = [
@@ -170,7 +173,7 @@ def refuse_to_replace(folder: Path, recipe: str, task: str, machine: str, seed: 
 
 
 def read_training_card(file: Path) -> dict[str, Any]:
-    """Read settings and results of a run to resume, with checked entries; an InputError if the file is damaged."""
+    """Read settings and results of a run to resume, with checked entries; an InputError if it is damaged."""
     card = read_json(file)
     try:
         columns = {tuple(row) for row in card["curve"]}

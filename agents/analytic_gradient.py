@@ -1,13 +1,14 @@
 """Analytic policy gradient: train a policy by backpropagation through simulated episodes.
 
-PPO estimates the gradient of the return from the noise of its actions. Here the chain rule computes it: an episode is a
-chain of policy and machine, and backpropagation through time gives the derivatives of its cost with respect to the
-weights of the policy. The derivatives of the machine over one control period are those of `DifferentiableMotion`.
+PPO estimates the gradient of the return from the noise of its actions. Here the chain rule computes it: an
+episode is a chain of policy and machine, and backpropagation through time gives the derivatives of its cost
+with respect to the weights of the policy. The derivatives of the machine over one control period are those of
+`DifferentiableMotion`.
 
-With exact derivatives, static friction would hide that a higher voltage moves a resting tool, and derivatives grow from
-period to period where the tool is close to its goal. Three measures keep the gradient useful: the derivatives of static
-friction are smoothed (`dynamics.Friction`); the derivative with respect to the state is multiplied by a discount in
-every period; and its norm is limited in every period.
+With exact derivatives, static friction would hide that a higher voltage moves a resting tool, and derivatives
+grow from period to period where the tool is close to its goal. Three measures keep the gradient useful: the
+derivatives of static friction are smoothed (`dynamics.Friction`); the derivative with respect to the state is
+multiplied by a discount in every period; and its norm is limited in every period.
 
 Importing this module needs the extra `agents`.
 
@@ -48,8 +49,9 @@ LARGEST_NORM = 1.0  # of the gradient with respect to the weights
 class AnalyticPolicyGradient:
     """Analytic policy gradient with the interface that a training run uses of a stable-baselines3 algorithm.
 
-    Every update simulates one episode in each environment. A random number of periods at its beginning are not
-    differentiated. This saves time, and lets the later periods, in which the tool arrives, count as much as the first.
+    Every update simulates one episode in each environment. A random number of periods at its beginning are
+    not differentiated. This saves time, and lets the later periods, in which the tool arrives, count as much
+    as the first.
 
     Args:
         policy: Name of the policy class; "MultiInputPolicy" is the only one.
@@ -59,10 +61,10 @@ class AnalyticPolicyGradient:
         policy_kwargs: Keyword arguments of the policy class.
         periods: Control periods of an episode.
         skipped: Largest number of periods at the beginning that are not differentiated.
-        discount: Factor, 0 to 1, by which backpropagation multiplies the derivative of the cost with respect to the
-            state in every period.
-        limit: Largest norm of this derivative, for the cost of one episode, dimensionless, with travel in units of 1 mm
-            and velocity in units of 50 mm/s. A longer derivative is scaled to this norm.
+        discount: Factor, 0 to 1, by which backpropagation multiplies the derivative of the cost with respect
+            to the state in every period.
+        limit: Largest norm of this derivative, for the cost of one episode, dimensionless, with travel in
+            units of 1 mm and velocity in units of 50 mm/s. A longer derivative is scaled to this norm.
         averaging: Factor of the exponential moving average of the weights per update, 0 to below 1.
 
     Attributes:
@@ -71,8 +73,8 @@ class AnalyticPolicyGradient:
         generators: Generators of all random numbers that do not come from torch or the environment.
 
     Raises:
-        InputError: If there is no action mapping, or it has a base controller without the method `gain`, so that its
-            derivatives are not known.
+        InputError: If there is no action mapping, or it has a base controller without the method `gain`, so
+            that its derivatives are not known.
     """
 
     def __init__(
@@ -159,7 +161,7 @@ class AnalyticPolicyGradient:
         update_average(self.policy, self._trained, self._averaging, self._updates)
 
     def _episode_costs(self, skipped: int) -> Any:
-        """Simulate one episode in each environment; return its costs (B,) without the first `skipped` periods."""
+        """Simulate one episode in each environment; return costs (B,) without the first `skipped` periods."""
         self.env.venv.reset()
         self.mapping.reset()
         batch, model = self._envs.batch, self._model
@@ -180,7 +182,8 @@ class AnalyticPolicyGradient:
                 key: torch.from_numpy(v) for key, v in self.mapping.augment(observation).items()
             }
             with torch.set_grad_enabled(k >= skipped):
-                # Tensors with derivatives with respect to the state and earlier actions replace arrays of equal values.
+                # Tensors with derivatives with respect to the state and earlier actions replace arrays of
+                # equal values.
                 entries["observation"] = (state @ self._observed).float()
                 if last_observation is not None:
                     entries |= {"last_observation": last_observation, "last_action": last_action}
@@ -227,7 +230,7 @@ class AnalyticPolicyGradient:
         return self.mapping.parts(distance, speed, entries["last_action"], laws).action(limited(output))
 
     def _base_action(self, entries: Mapping[str, Any], state: Any) -> Any:
-        """Return the actions (B, drives) of the base controller as a linear function of the state (B, 2 n), or zero."""
+        """Return the actions (B, drives) of the base controller, linear in the state (B, 2 n), or zero."""
         base: Any = self.mapping.base
         if base is None:
             return 0.0

@@ -1,8 +1,8 @@
-"""SAC whose averaged actor is evaluated and kept, and whose noise may fall. Importing this needs the extra `agents`.
+"""SAC whose averaged actor is evaluated and kept, and whose noise may fall. It needs the extra `agents`.
 
-The actor of SAC follows the gradient of critics that never rest: the policies of two evaluations differ by more than a
-percent of the settling time, to either side. The average of its weights over some thousand gradient steps is better
-than all of them.
+The actor of SAC follows the gradient of critics that never rest: the policies of two evaluations differ by
+more than a percent of the settling time, to either side. The average of its weights over some thousand
+gradient steps is better than all of them.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ class AveragedSAC(SAC):
     """SAC with a moving average of its actor and a schedule of its target entropy.
 
     Args:
-        averaging: Factor of the exponential moving average of the actor's weights per rollout, 0 to below 1; with 0,
-            the actor itself is evaluated.
+        averaging: Factor of the exponential moving average of the actor's weights per rollout, 0 to below 1;
+            with 0, the actor itself is evaluated.
         target_entropy: As for `SAC`, or a function of the fraction of the run that remains.
     """
 

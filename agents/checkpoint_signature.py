@@ -1,7 +1,8 @@
 """Signatures of checkpoints, so that a training run resumes only from files of this installation.
 
-A checkpoint of stable-baselines3 is a pickle, which executes code when it is loaded. Training signs its checkpoints
-with a secret key of this installation, and only a signed checkpoint is loaded unless the user trusts it.
+A checkpoint of stable-baselines3 is a pickle, which executes code when it is loaded. Training signs its
+checkpoints with a secret key of this installation, and only a signed checkpoint is loaded unless the user
+trusts it.
 """
 
 from __future__ import annotations
@@ -21,11 +22,11 @@ _TRAILER = len(_MARK) + 2 * KEY_BYTES  # a pickle and a zip archive may have fur
 
 
 def sign_checkpoint(path: Path) -> None:
-    """Append a signature to a checkpoint, by which `refuse_unsigned` recognizes the files of this installation.
+    """Append a signature to a checkpoint; `refuse_unsigned` recognizes this installation's files by it.
 
-    The signature is a keyed hash (HMAC-SHA256) of the file with a secret key of this installation. If the key cannot be
-    stored, because its folder is read-only, the file is not changed. The file is a pickle or a zip archive; both can be
-    loaded with further bytes at their end.
+    The signature is a keyed hash (HMAC-SHA256) of the file with a secret key of this installation. If the key
+    cannot be stored, because its folder is read-only, the file is not changed. The file is a pickle or a zip
+    archive; both can be loaded with further bytes at their end.
     """
     try:
         key = _installation_key()

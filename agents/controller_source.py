@@ -1,7 +1,8 @@
 """Trained agents as controllers: agents in a folder, and the agents that come with the package.
 
-Importing this module registers both, and the models of `sb3_zip`, with `hframe_gym.evaluation.make_controller`; it is
-the plugin that the package declares in the entry-point group `hframe_gym.plugins`.
+Importing this module registers both, and the models of `sb3_zip`, with
+`hframe_gym.evaluation.make_controller`; it is the plugin that the package declares in the entry-point group
+`hframe_gym.plugins`.
 """
 
 from __future__ import annotations
@@ -26,18 +27,19 @@ from .recipe import Recipe, recipe_task
 
 @CONTROLLER_SOURCES.register("agents")
 class AgentSource(ControllerSource):
-    """Source of trained agents for `make_controller`: by folder, or by name for agents that come with the package."""
+    """Source of trained agents for `make_controller`: by folder, or by name for those of the package."""
 
     @staticmethod
     @override
     def make(name: str, scenario: Scenario) -> Agent | None:
-        """Load a trained agent, and warn if it was trained with another machine, control period or other sensors.
+        """Load a trained agent, and warn if it was trained with another machine, control period or sensors.
 
-        The name is a folder, or an agent of the package, such as "ppo", of which the scenario's task selects one.
+        The name is a folder, or an agent of the package, such as "ppo", of which the scenario's task selects
+        one.
 
         Raises:
-            InputError: If the package has the agent for other tasks only, the folder holds no agent, its files are
-                damaged, or the training had other numbers of axes, observed coordinates or drives.
+            InputError: If the package has the agent for other tasks only, the folder holds no agent, its
+                files are damaged, or the training had other numbers of axes, observed coordinates or drives.
             ImportError: If the extra `agents` is not installed.
         """
         folder = _agent_folder(name, scenario.task_name)
@@ -91,7 +93,7 @@ class AgentSource(ControllerSource):
 
 
 def _training_cost(folder: Path) -> tuple[int | None, float | None]:
-    """Return the environment steps and the processor time, s, of an agent's training as its card states them."""
+    """Return environment steps and the processor time, s, of an agent's training as its card states them."""
     try:
         last = json.loads((folder / "card.json").read_text("utf-8"))["curve"][-1]
         return int(last["steps"]), round(float(last["cpu_s"]), 1)
@@ -120,7 +122,8 @@ def shipped_agent_folder(name: str, task: str) -> Path:
         task: Name of the task, "reach" or "track".
 
     Raises:
-        InputError: If there is no such agent; the message names the tasks that have it, or the agents of the task.
+        InputError: If there is no such agent; the message names the tasks that have it, or the agents of the
+            task.
     """
     folder = _find_shipped(name, task)
     if folder is None:
@@ -132,15 +135,16 @@ def shipped_agent_folder(name: str, task: str) -> Path:
 
 
 def start_agent_folder(recipe: Recipe, task: str, machine: Machine, previews: int) -> Path:
-    """Find the folder of the agent in the package from whose weights a recipe such as "adapt" continues the training.
+    """Find the folder of the agent in the package from whose weights a recipe such as "adapt" continues.
 
     Args:
-        task: Name of the task on which training continues; `recipe_task` selects among the agents of the package.
+        task: Name of the task on which training continues; `recipe_task` selects among the agents of the
+            package.
         previews: Number of future goals that this task shows.
 
     Raises:
-        InputError: If there is no such agent, or if it was trained on a machine with other numbers of axes, observed
-            coordinates or drives, or with another number of future goals.
+        InputError: If there is no such agent, or if it was trained on a machine with other numbers of axes,
+            observed coordinates or drives, or with another number of future goals.
         ImportError: If the extra `agents` is not installed.
     """
     folder = shipped_agent_folder(recipe.start, recipe_task(task))
@@ -164,18 +168,18 @@ def shipped_agent_names() -> tuple[str, ...]:
 
 
 def _agent_folder(name: str, task: str) -> Path | None:
-    """Return the folder that a user's name of an agent means: that folder itself, or the one of a shipped agent."""
+    """Return the folder that a user's name of an agent means: this folder itself, or a shipped agent's."""
     return Path(name) if Path(name).is_dir() else _find_shipped(name, task)
 
 
 def _find_shipped(name: str, task: str) -> Path | None:
-    """Return the folder of the first shipped agent that has a name or whose name begins with it and a hyphen."""
+    """Return the folder of the first shipped agent whose name is this one, or begins with it and a hyphen."""
     folders = _shipped_folders(task)
     return next((f for label, f in folders.items() if label == name or label.startswith(f"{name}-")), None)
 
 
 def _refuse_other_task(name: str, task: str) -> None:
-    """Raise InputError if the package has an agent of this name, but for other tasks than the one in question."""
+    """Raise InputError if the package has an agent of this name, but not for the task in question."""
     trained = [
         folder.name for folder in sorted(_shipped_root().iterdir()) if _find_shipped(name, folder.name)
     ]

@@ -21,14 +21,15 @@ from ..machine import Machine
 
 SAMPLES = 2  # samples of the tool position per control period that enter the cost
 INTEGRATION_STEP = 1e-3  # s, twice that of the environment; the gradient needs no higher accuracy
-# Static friction can hold the tool up to 0.7 V. A derivative of zero there would hide from the policy that a higher
-# voltage moves it.
+# Static friction can hold the tool up to 0.7 V. A derivative of zero there would hide from the policy that a
+# higher voltage moves it.
 FRICTION: Friction = "smoothed"
-# Units of travel, m, and rate, m/s, in which the derivative with respect to the state is limited: typical changes in
-# one period.
+# Units of travel, m, and rate, m/s, in which the derivative with respect to the state is limited: typical
+# changes in one period.
 TRAVEL_UNIT, RATE_UNIT = 1e-3, 0.05
 SMALLEST_DISTANCE = 1e-6  # m, below which the cost is smooth
-# Cost along a path: per CONTOUR_UNIT of rms contour error, and per TRACKING_UNIT of rms distance to the moving goal.
+# Cost along a path: per CONTOUR_UNIT of rms contour error, and per TRACKING_UNIT of rms distance to the
+# moving goal.
 CONTOUR_UNIT, TRACKING_UNIT = 1e-4, 2e-4  # m; with less weight on the goal, agents learn to stay at the start
 CONTOUR_STEP = 1e-6  # m, of the finite differences of the contour error
 
@@ -66,10 +67,11 @@ class SimulatedPeriod:
         """Simulate one control period in SAMPLES = 2 equal parts.
 
         Args:
-            state: Belt travel (radius * angle if rotary) of n coordinates and its rate, m and m/s, shape (B, 2 n).
+            state: Belt travel (radius * angle if rotary) of n coordinates and its rate, m and m/s,
+                shape (B, 2 n).
             volts: Voltages of the drives, V, shape (B, d).
-            last_volts: Voltages of the period before, V, shape (B, d); they still act until a dead time has passed, and
-                have no influence without one.
+            last_volts: Voltages of the period before, V, shape (B, d); they still act until a dead time has
+                passed, and have no influence without one.
             parameters: Parameters of the machines in the order of `Machine.parameters`, SI, shape (B, P).
 
         Returns:
@@ -88,9 +90,9 @@ class SimulatedPeriod:
         """Read the results of a period from its motions.
 
         Returns:
-            State at the end of the period, m and m/s, followed by the tool positions, m, at SAMPLES = 2 equally spaced
-            times, the last of which is the end (all axes of a time before those of the next); shape (B, 2 n + axes *
-            SAMPLES).
+            State at the end of the period, m and m/s, followed by the tool positions, m, at SAMPLES = 2
+            equally spaced times, the last of which is the end (all axes of a time before those of the next);
+            shape (B, 2 n + axes * SAMPLES).
         """
         moving = 2 * self._coordinates
         end = motions.states[:, -1, :moving] * self._units(motions.parameters)
@@ -106,7 +108,8 @@ class SimulatedPeriod:
         Returns:
             state: Derivatives by belt travel and rate at the beginning, 1/m and s/m, shape (B, 2 n).
             volts: Derivatives by the voltages, 1/V, shape (B, d).
-            last_volts: Derivatives by the voltages of the period before, 1/V, shape (B, d); zero without a dead time.
+            last_volts: Derivatives by the voltages of the period before, 1/V, shape (B, d); zero without a
+            dead time.
         """
         moving, units = 2 * self._coordinates, self._units(motions.parameters)
         by_states = np.zeros(motions.states.shape)
@@ -195,22 +198,22 @@ limited: Any = _Limit.apply
 
 
 def distance_cost(distance: Any) -> Any:
-    """Compute costs of distances, m, in their shape: from 0 at the goal towards 1, minus the reward `ArrivalReward`."""
+    """Compute costs of distances, m: from 0 at the goal towards 1, minus the reward `ArrivalReward`."""
     scales, weights = (torch.tensor(values, dtype=distance.dtype) for values in (SCALES, ARRIVAL_WEIGHTS))
     return (weights * distance[..., None] / (distance[..., None] + scales)).sum(-1)
 
 
 def reach_cost(tool: Any, goal: Any) -> Any:
-    """Compute the cost of one control period of a motion to a fixed goal; it increases with the distance to the goal.
+    """Compute the cost of one period of a motion to a fixed goal; it increases with the distance to the goal.
 
     Args:
-        tool: Tool positions of B environments in the middle and at the end of the period (SAMPLES = 2), m, shape (B,
-            SAMPLES, axes).
+        tool: Tool positions of B environments in the middle and at the end of the period (SAMPLES = 2), m,
+            shape (B, SAMPLES, axes).
         goal: Goals, m, shape (B, axes).
 
     Returns:
-        Costs, dimensionless, shape (B,): mean over both times of a function of the distance (`distance_cost`) that
-        increases from 0 at the goal towards 1 far from it.
+        Costs, dimensionless, shape (B,): mean over both times of a function of the distance (`distance_cost`)
+        that increases from 0 at the goal towards 1 far from it.
     """
     squares = ((tool - goal.double()[:, None]) ** 2).sum(2)
     return distance_cost(torch.sqrt(squares + SMALLEST_DISTANCE**2)).mean(1)
@@ -220,12 +223,13 @@ def path_errors(tool: Any, references: ReferenceTrajectories) -> Any:
     """Compute the squared contour and tracking errors of one control period of a motion along a path.
 
     Args:
-        tool: Tool positions at SAMPLES = 2 times of the period, m, shape (B, SAMPLES, axes); the last is at its end.
+        tool: Tool positions at SAMPLES = 2 times of the period, m, shape (B, SAMPLES, axes); the last is at
+            its end.
         references: Paths and goals of the B environments; their present time must be the end of the period.
 
     Returns:
-        Two columns: mean squared distance to the path over the samples of the period, and squared distance to the goal
-        at its end, m^2, shape (B, 2).
+        Two columns: mean squared distance to the path over the samples of the period, and squared distance to
+        the goal at its end, m^2, shape (B, 2).
     """
     contour = torch.stack([_squared_contour(points, references) for points in tool.unbind(1)]).mean(0)
     goal = torch.from_numpy(references.goals(slice(None)).astype(np.float64))
@@ -236,8 +240,8 @@ def path_cost(squares: Any) -> Any:
     """Compute the cost of episodes along a path from the errors in each control period.
 
     Args:
-        squares: Squared distance to the path (contour error), then to the goal, in each period of B episodes, m^2,
-            shape (B, periods, 2).
+        squares: Squared distance to the path (contour error), then to the goal, in each period of B episodes,
+            m^2, shape (B, periods, 2).
 
     Returns:
         Rms contour error / 0.1 mm + rms distance to the goal / 0.2 mm, dimensionless, shape (B,).

@@ -1,12 +1,14 @@
 """Inputs of a policy network (features): errors, speeds, belt stretch and voltages on logarithmic scales.
 
-An error of 0.1 mm, in meters, is too small an input for a network to learn from. Each quantity v therefore enters as
+An error of 0.1 mm, in meters, is too small an input for a network to learn from. Each quantity v therefore
+enters as
 
     sign(v) * log(1 + |v| / scale)
 
-for one or several scales: linear well below a scale, logarithmic above it. Errors enter for the tool (x, y) and for
-each motor (as belt travel), now and after 10 ms at the present speeds with an unchanged goal. Every v is linear in the
-observation z, so all features are one matrix product and one logarithm: factor * sign(z M) * log(1 + |z M|).
+for one or several scales: linear well below a scale, logarithmic above it. Errors enter for the tool (x, y)
+and for each motor (as belt travel), now and after 10 ms at the present speeds with an unchanged goal. Every v
+is linear in the observation z, so all features are one matrix product and one logarithm: factor * sign(z M) *
+log(1 + |z M|).
 
 This module needs NumPy only; sb3_adapters.py evaluates the features in torch.
 """
@@ -30,7 +32,8 @@ INTEGRAL_SCALES = (1e-5, 1e-6)  # m s; an error of 0.1 mm in ten control periods
 STRETCH_SCALES = (1e-3, 1e-4)  # m
 # Fractions of the rated voltage: full voltage, and about the voltage that overcomes Coulomb friction.
 ACTION_SCALES = (1.0, 0.03)
-# Fractions of the rated voltage. At rest at the goal, 0.01 moves the tool by about 0.1 mm in one control period.
+# Fractions of the rated voltage. At rest at the goal, 0.01 moves the tool by about 0.1 mm in one control
+# period.
 ACTION_CHANGE_SCALES, ACTION_ERROR_SCALES = (0.3, 0.01), (0.05, 0.005)
 FRICTION_VOLTAGE_SCALES = (0.03, 0.003)  # fractions of the rated voltage
 # Fractions of the rated voltage; far from the goal, short transfers ask for up to 30 times the rated voltage.
@@ -44,8 +47,8 @@ LARGEST_SPEED = 1.5  # m/s
 LARGEST_STRETCH = 0.01  # m
 LARGEST_INTEGRAL = 1e-4  # m s
 
-# Observation keys in the order in which they are concatenated; absent keys are skipped. The weights of a trained agent
-# depend on this order.
+# Observation keys in the order in which they are concatenated; absent keys are skipped. The weights of a
+# trained agent depend on this order.
 OBSERVATION_KEYS = (
     "observation",
     "desired_goal",
@@ -63,25 +66,31 @@ OBSERVATION_KEYS = (
 def feature_parameters(
     machine: Machine, period: float = 0.01, transfers: Sequence[int] = (), preview: int = 0
 ) -> dict[str, Any]:
-    """Compute the arguments of `feature_matrix` that depend on the machine: its kinematics and gains of controllers.
+    """Compute the arguments of `feature_matrix` that depend on the machine: kinematics and gains.
 
-    The features of a policy can include voltages of model-based controllers, which are linear in the observation.
+    The features of a policy can include voltages of model-based controllers, which are linear in the
+    observation.
 
     Args:
         period: Control period, s.
-        transfers: For a fixed goal: durations of the minimum-energy transfers (motions to rest at the goal) whose first
-            voltages are features, in control periods beyond the shortest transfer (0). Default: none.
-        preview: For a moving goal: number of future goals that a preview control uses, whose voltages are features.
-            Ignored if `transfers` are given. Default: no preview control.
+        transfers: For a fixed goal: durations of the minimum-energy transfers (motions to rest at the goal)
+            whose first voltages are features, in control periods beyond the shortest transfer (0). Default:
+            none.
+        preview: For a moving goal: number of future goals that a preview control uses, whose voltages are
+            features. Ignored if `transfers` are given. Default: no preview control.
 
     Returns:
-        `radii`: belt travel (radius * angle) per radian of each motor coordinate, m/rad, list of one per motor; a drive
+        `radii`: belt travel (radius * angle) per radian of each motor coordinate, m/rad, list of one per
+        motor; a drive
             that acts on an axis of the tool itself has no motor coordinate.
-        `rest`: belt travel of each motor coordinate per meter of each axis with unstretched belts, m/m, nested list of
+        `rest`: belt travel of each motor coordinate per meter of each axis with unstretched belts, m/m,
+        nested list of
             shape (motors, axes).
         `meters`: only for rotary axes: length that a rad of the tool position counts as, m.
-        `gains`: only with `transfers` or `preview`; by key of the observation, the matrix from its entries to these
-            voltages as fractions of the rated ones, transfer by transfer, nested list of shape (voltages, entries).
+        `gains`: only with `transfers` or `preview`; by key of the observation, the matrix from its entries to
+        these
+            voltages as fractions of the rated ones, transfer by transfer, nested list of
+            shape (voltages, entries).
 
     Raises:
         InputError: If the machine has no transfer of one of these durations.
@@ -102,7 +111,7 @@ def feature_parameters(
 
 
 def _transfer_gains(model: MotionModel, period: float, transfers: Sequence[int]) -> dict[str, Any]:
-    """Return the gains for the first voltages of transfers to rest, designed at the center of the workspace."""
+    """Return the gains for the first voltages of transfers to rest, from the center of the workspace."""
     designed = TransferDesign(model, period)
     check_transfers(designed, transfers)
     by_duration = designed.first_gains(transfers, [_center(designed.grid)])[0]  # (durations, drives, 2 n)
@@ -152,13 +161,15 @@ def feature_matrix(
         radii: Belt travel (radius * angle) per radian of each motor coordinate, m/rad, shape (motors,).
         rest: Belt travel of each motor coordinate per meter of each axis with unstretched belts, m/m, shape
             (motors, axes).
-        gains: By key, matrices from entries of the observation to voltages of model-based controllers, which are summed
-            over the keys, shape (voltages, entries of the key); see `feature_parameters`. Default: no such features.
+        gains: By key, matrices from entries of the observation to voltages of model-based controllers, which
+            are summed over the keys, shape (voltages, entries of the key); see `feature_parameters`. Default:
+            no such features.
         meters: Length that a unit of the tool position counts as, m: 1 for meters.
 
     Returns:
-        M: Matrix from z to the quantities divided by their scales (z M: dimensionless), shape (entries, features).
-        g: Factors, dimensionless, shape (features,). A feature is 1 at a large value of its quantity, such as 0.5 m.
+        M: Matrix from z to the quantities divided by their scales (z M: dimensionless),
+        shape (entries, features). g: Factors, dimensionless, shape (features,). A feature is 1 at a large
+        value of its quantity, such as 0.5 m.
     """
     # Each quantity is a matrix of columns (entries of z, components): the quantity is z times these columns.
     selectors = _selectors(sizes)
@@ -214,7 +225,7 @@ def feature_matrix(
 
 
 def _selectors(sizes: Mapping[str, int]) -> dict[str, Array]:
-    """Return, for each key, the columns that pick its entries out of z, shape (entries, entries of the key)."""
+    """Return, for each key, the columns that pick its entries of z, shape (entries, entries of the key)."""
     edges = np.cumsum([0, *sizes.values()]).tolist()
     identity = np.eye(edges[-1])
     return {
@@ -223,12 +234,12 @@ def _selectors(sizes: Mapping[str, int]) -> dict[str, Array]:
 
 
 def _split_state(state: Array, radii: Array, axes: int, meters: float) -> tuple[Array, Array, Array, Array]:
-    """Split a state's columns into tool, motors, tool speed and motor speed, in m and motors in belt travel."""
+    """Split a state's columns into tool, motors, tool speed and motor speed, in m, motors in belt travel."""
     tool, motors, tool_speed, motor_speed = np.split(state, np.cumsum([axes, len(radii), axes]), axis=1)
     return meters * tool, motors * radii, meters * tool_speed, motor_speed * radii
 
 
 def _scaled_columns(columns: Array, scales: Sequence[float], largest: float) -> tuple[Array, Array]:
-    """Return the columns divided by each scale, and the factors by which the value `largest` gives a feature of 1."""
+    """Return the columns divided by each scale, and factors that make a feature 1 at the value `largest`."""
     factors = [np.full(columns.shape[1], 1.0 / np.log1p(largest / scale)) for scale in scales]
     return np.hstack([columns / scale for scale in scales]), np.concatenate(factors)

@@ -1,8 +1,8 @@
 """Feedback laws of which a policy forms a weighted mean: first voltages of transfers to rest at the goal.
 
-A *transfer* is a motion of given duration that brings the machine to rest at its goal with the least sum of squared
-voltages. `TransferBank` and `PlanBank` compute the first voltages of several transfers, and residual_action.py weights
-them.
+A *transfer* is a motion of given duration that brings the machine to rest at its goal with the least sum of
+squared voltages. `TransferBank` and `PlanBank` compute the first voltages of several transfers, and
+residual_action.py weights them.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ from ..controllers import (
 from ..errors import InputError
 from ..machine import Machine
 
-# Variants of the machine for which transfers are also designed: factors on its belt stiffness and on its masses.
+# Variants of the machine for which transfers are also designed: factors on its belt stiffness and on its
+# masses.
 VARIANTS = ((0.7, 0.95), (0.7, 1.15), (1.3, 0.95), (1.3, 1.15))
 # For variants, only so many transfers, the shortest: the parameters matter most near the goal.
 VARIANT_TRANSFERS = 5
@@ -39,8 +40,8 @@ class FeedbackLaws(NamedTuple):
 
     Attributes:
         volts: Voltages divided by the rated voltages, not limited, shape (batch, K, drives).
-        gains: Derivatives of `volts` with respect to the entries of the full-state observation, per m, rad, m/s or
-            rad/s, shape (batch, K, drives, entries).
+        gains: Derivatives of `volts` with respect to the entries of the full-state observation, per m, rad,
+            m/s or rad/s, shape (batch, K, drives, entries).
     """
 
     volts: Array
@@ -48,15 +49,16 @@ class FeedbackLaws(NamedTuple):
 
 
 class TransferBank:
-    """First voltages of K minimum-energy transfers (motions to rest at the goal) of several durations and designs.
+    """First voltages of K minimum-energy transfers (motions to rest at the goal) by duration and design.
 
-    Every transfer is designed for `machine`; the first five (`VARIANT_TRANSFERS`) are also designed for each of four
-    variants with other belt stiffness and masses (`VARIANTS`). The durations of a variant count from its shortest
-    transfer and are limited to its longest one.
+    Every transfer is designed for `machine`; the first five (`VARIANT_TRANSFERS`) are also designed for each
+    of four variants with other belt stiffness and masses (`VARIANTS`). The durations of a variant count from
+    its shortest transfer and are limited to its longest one.
 
     Args:
         period: Control period, s.
-        transfers: Durations in control periods beyond the shortest possible transfer, ascending; 0: the shortest.
+        transfers: Durations in control periods beyond the shortest possible transfer, ascending; 0: the
+            shortest.
 
     Attributes:
         size: Number K of transfers.
@@ -82,7 +84,7 @@ class TransferBank:
         self.size = self._gains.shape[1]
 
     def laws(self, observation: NDArray[Any], goal: NDArray[Any]) -> FeedbackLaws:
-        """Compute the first voltages of each transfer from the present state, by the design nearest to the goal.
+        """Compute the first voltages of each transfer from the state, by the design nearest to the goal.
 
         The transfers of the declared machine, in the order of the durations, precede those of each variant.
 
@@ -100,7 +102,7 @@ class TransferBank:
 
 
 class PlanBank:
-    """First voltages of K transfers, planned in every period for the machine as estimated (`SimulatedTransfers`).
+    """First voltages of K transfers, planned each period for the machine as estimated (`SimulatedTransfers`).
 
     Args:
         period: Control period, s.
@@ -157,5 +159,5 @@ def check_transfers(designed: TransferDesign, transfers: Sequence[int]) -> None:
 
 
 def state_of_observation(model: MotionModel) -> Array:
-    """Return the matrix from a full-state observation, SI, to the state in belt travel, m, shape (2 n, entries)."""
+    """Return the matrix from a full observation, SI, to the state in belt travel, m, shape (2 n, entries)."""
     return model.state({"observation": np.eye(2 * len(model.mass))}).T

@@ -1,8 +1,8 @@
-"""Policy of SAC that weights feedback laws, with critics of the action. Importing this module needs the extra `agents`.
+"""Policy of SAC that weights feedback laws, with critics of the action. The import needs the extra `agents`.
 
-Such a policy has many outputs, and only the action that results from them acts on the machine. Critics of the outputs
-would have to learn, for every state, how the outputs form the action. These critics compute it from the `ActionParts`
-in the observation, and the gradient of the policy follows the same way back.
+Such a policy has many outputs, and only the action that results from them acts on the machine. Critics of the
+outputs would have to learn, for every state, how the outputs form the action. These critics compute it from
+the `ActionParts` in the observation, and the gradient of the policy follows the same way back.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from ..errors import InputError
 from .differentiable_episode import limited
 from .residual_action import ActionParts
 
-# Standard deviation of the actions that are tried, over that of the policy which the critics evaluate: they learn what
-# other voltages are worth from noise that would delay the arrival.
+# Standard deviation of the actions that are tried, over that of the policy which the critics evaluate: they
+# learn what other voltages are worth from noise that would delay the arrival.
 EXPLORATION = 3.0
 
 
 class LawActor(Actor):
-    """Actor that explores with the outputs for the drives only: the weights of the laws follow from the observation."""
+    """Actor that explores with the outputs for the drives only: the observation gives the laws' weights."""
 
     action_dist: Any  # of the outputs for the drives
     log_std: Any
@@ -83,7 +83,7 @@ class ActionCritic(ContinuousCritic):
 
 
 class LawPolicy(MultiInputPolicy):
-    """Policy of SAC with `LawActor` and `ActionCritic`, for observations with the `ActionParts`, without `use_sde`."""
+    """Policy of SAC with `LawActor` and `ActionCritic`, observing the `ActionParts`, without `use_sde`."""
 
     @override
     def __init__(self, *arguments: Any, use_sde: bool = False, **keywords: Any) -> None:

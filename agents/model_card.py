@@ -29,8 +29,9 @@ from ..files import write_text
 from ..machine import AXIS_UNITS
 
 EVALUATION_EPISODES = 256  # of every row of a learning curve
-# Cost of one millimeter of final error in seconds of settling time. Agents that settle in no band differ only in their
-# final error; for agents that settle, 0.01 mm costs as little as 0.1 ms, far below the noise of the episodes.
+# Cost of one millimeter of final error in seconds of settling time. Agents that settle in no band differ only
+# in their final error; for agents that settle, 0.01 mm costs as little as 0.1 ms, far below the noise of the
+# episodes.
 SECONDS_PER_MM = 0.01
 
 
@@ -38,7 +39,8 @@ class AgentScores(NamedTuple):
     """Result of the evaluation of an agent.
 
     Attributes:
-        row: Row of the learning curve: scores by name, such as `success` (fraction, 0 to 1) and `final_error_mm`.
+        row: Row of the learning curve: scores by name, such as `success` (fraction, 0 to 1) and
+            `final_error_mm`.
         costs: Cost of every episode (settling times and errors), s or mm, shape (B,).
     """
 
@@ -47,19 +49,21 @@ class AgentScores(NamedTuple):
 
 
 def score_agent(controller: Controller, scenario: Scenario) -> AgentScores:
-    """Simulate a controller in the episodes of a scenario and compute its scores, one row of a learning curve.
+    """Simulate a controller in a scenario's episodes and compute its scores, one row of a learning curve.
 
     Returns:
         `costs`: `episode_costs`, shape (B,). `row`: scores by name.
-        With a fixed goal (an episode settles in a band if the tool stays within this distance of the goal to the end):
+        With a fixed goal (an episode settles in a band if the tool stays within this distance of the goal to
+        the end):
             `success`: fraction of episodes that settle in the band that the task defines, 0 to 1.
-            `success_BAND`: fraction of episodes that settle, 0 to 1, with BAND 1mm, 0.2mm and 0.05mm; 10mrad, 2mrad and
-            0.5mrad for rotary axes, whose errors are in mrad.
-            `settling_s_BAND`: mean settling time, s; an episode that does not settle counts with its full length.
-            `final_error_mm`: median distance to the goal at the end, mm.
+            `success_BAND`: fraction of episodes that settle, 0 to 1, with BAND 1mm, 0.2mm and 0.05mm; 10mrad,
+            2mrad and 0.5mrad for rotary axes, whose errors are in mrad. `settling_s_BAND`: mean settling
+            time, s; an episode that does not settle counts with its full length. `final_error_mm`: median
+            distance to the goal at the end, mm.
         With a moving goal, means over the episodes:
             `contour_rms_mm`: root mean square distance to the path, mm.
-            `tracking_rms_mm`, `tracking_max_mm`: root mean square and largest distance to the moving goal, mm.
+            `tracking_rms_mm`, `tracking_max_mm`: root mean square and largest distance to the moving goal,
+            mm.
     """
     episodes = rollout(controller, scenario)
     error = episodes.goal_error  # (episodes, samples)
@@ -80,7 +84,7 @@ def _reaching_scores(error: Array, episodes: Episodes, task_band: float) -> dict
 
 
 def _tracking_scores(error: Array, contour: Array, small: str) -> dict[str, float]:
-    """Return the scores of a task with a moving goal from tracking and contour errors, m, (episodes, samples)."""
+    """Return the scores of a task with a moving goal from tracking and contour errors, m, (episodes, n)."""
     return {
         f"contour_rms_{small}": float(1e3 * np.sqrt(np.mean(contour**2, axis=1)).mean()),
         f"tracking_rms_{small}": float(1e3 * np.sqrt(np.mean(error**2, axis=1)).mean()),
@@ -89,11 +93,12 @@ def _tracking_scores(error: Array, contour: Array, small: str) -> dict[str, floa
 
 
 def episode_costs(episodes: Episodes) -> Array:
-    """Compute the cost of every evaluation episode, shape (B,), by which agents of one training run are compared.
+    """Compute the cost of every evaluation episode, shape (B,), which compares the agents of a training run.
 
-    With a fixed goal it is the sum of the settling times within 1, 0.2 and 0.05 mm, s, plus 0.01 s per millimeter of
-    final error. Along a path it is the sum of the rms contour error and the rms tracking error, mm; the contour error
-    alone would be zero for a tool that never leaves its start. Angles count as ways at the end of an arm of 0.1 m.
+    With a fixed goal it is the sum of the settling times within 1, 0.2 and 0.05 mm, s, plus 0.01 s per
+    millimeter of final error. Along a path it is the sum of the rms contour error and the rms tracking error,
+    mm; the contour error alone would be zero for a tool that never leaves its start. Angles count as ways at
+    the end of an arm of 0.1 m.
     """
     error, unit = episodes.goal_error, episodes.unit
     if episodes.contour is not None:
@@ -106,12 +111,13 @@ def episode_costs(episodes: Episodes) -> Array:
 def improves(costs: Array, kept: Array | None) -> bool:
     """Decide whether a new agent replaces the best one so far: whether its mean cost is significantly lower.
 
-    Both agents run in the same B episodes. The mean reduction of the cost per episode must exceed its standard error. A
-    large reduction in a single episode alone does not suffice.
+    Both agents run in the same B episodes. The mean reduction of the cost per episode must exceed its
+    standard error. A large reduction in a single episode alone does not suffice.
 
     Args:
         costs: Costs of the new agent, one per episode, s or mm, shape (B,).
-        kept: Costs of the kept agent in the same episodes, in the same unit, shape (B,); None if there is none.
+        kept: Costs of the kept agent in the same episodes, in the same unit, shape (B,); None if there is
+            none.
     """
     if kept is None:
         return True
@@ -120,7 +126,7 @@ def improves(costs: Array, kept: Array | None) -> bool:
 
 
 def progress_line(row: Mapping[str, Any]) -> str:
-    """Format one row of a learning curve, as `score_agent` lists it, with `steps` and `seconds`, for the terminal."""
+    """Format a row of a learning curve, from `score_agent` with `steps` and `seconds`, for the terminal."""
     prefix = f"{row['steps']:>9d} steps  {row['seconds']:6.0f} s"
     for small in (unit.small for unit in AXIS_UNITS.values()):
         if f"contour_rms_{small}" in row:
@@ -135,7 +141,7 @@ def progress_line(row: Mapping[str, Any]) -> str:
 
 
 def write_card(folder: str | Path, card: Mapping[str, Any]) -> None:
-    """Write the card of an agent, which says how it was trained and how well it performs, to card.json and README.md.
+    """Write the card of an agent, on its training and its performance, to card.json and README.md.
 
     Each file is replaced only when its new version is complete.
 
@@ -150,8 +156,9 @@ def render_card(card: Mapping[str, Any]) -> str:
     """Format the card of an agent, the record of its training and scores, as a Markdown page.
 
     Args:
-        card: Contents of card.json as `train` returns them: name, task, seed, machine, settings (the recipe), package
-            versions and learning curve. Optional: `kept` (training steps of the saved agent), `scores`, `failures`.
+        card: Contents of card.json as `train` returns them: name, task, seed, machine, settings (the recipe),
+            package versions and learning curve. Optional: `kept` (training steps of the saved agent),
+            `scores`, `failures`.
     """
     last = card["curve"][-1]
     settings = card["settings"]

@@ -14,7 +14,7 @@ CONTRIB_ALGORITHMS = ("tqc", "crossq")  # of sb3-contrib, which the other algori
 
 
 def import_optional(module: str) -> Any:
-    """Import a module such as "stable_baselines3.ppo"; an ImportError names the pip command of the extra `agents`."""
+    """Import a module such as "stable_baselines3.ppo"; an ImportError names the extra `agents` and pip."""
     with naming_extra("agents", f"learned controllers need {module.partition('.')[0]}"):
         return importlib.import_module(module)
 

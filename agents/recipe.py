@@ -1,4 +1,4 @@
-"""Recipes: the settings of a training run (algorithm, task, environment, policy), stored as TOML in `recipes/`."""
+"""Recipes: settings of a training (algorithm, task, environment, policy), stored as TOML in `recipes/`."""
 
 from __future__ import annotations
 
@@ -15,25 +15,26 @@ from ..files import read_document
 from ..machine import METERS, AxisUnit, Machine
 
 ALGORITHMS = ("ppo", "sac", "tqc", "crossq", "apg")
-# Options of the environment that a recipe cannot set: `train` sets the first two, and the features of policies expect a
-# dict of observations in SI units.
+# Options of the environment that a recipe cannot set: `train` sets the first two, and the features of
+# policies expect a dict of observations in SI units.
 FIXED_OPTIONS = ("machine", "task", "normalize", "flat", "error")
 
 
 @dataclass(frozen=True)
 class LinearSchedule:
-    """Rate, for example a learning rate, that changes linearly over a training run; called by stable-baselines3.
+    """Rate, such as a learning rate, that changes linearly over a training run; called by stable-baselines3.
 
     Attributes:
         first: Rate at the first step.
-        last: Rate at the last step, and beyond it: a run ends with a complete rollout, a little after its last step.
+        last: Rate at the last step, and beyond it: a run ends with a complete rollout, a little after its
+            last step.
     """
 
     first: float
     last: float
 
     def __call__(self, remaining: float) -> float:
-        """Interpolate the rate, in the unit of `first`, at the fraction `remaining` of the run (1 at its start).
+        """Interpolate the rate, in the unit of `first`, at the fraction of the run that remains (1: start).
 
         Beyond the last step, the fraction is negative and counts as 0.
         """
@@ -46,21 +47,22 @@ class Recipe:
 
     Attributes:
         name: Name of the recipe, ALGORITHM_TASK, for example "ppo_reach".
-        kind: Algorithm, one of `ALGORITHMS`: "ppo" or "sac" of stable-baselines3, "tqc" or "crossq" of sb3-contrib, or
-            "apg" (`AnalyticPolicyGradient`).
+        kind: Algorithm, one of `ALGORITHMS`: "ppo" or "sac" of stable-baselines3, "tqc" or "crossq" of
+            sb3-contrib, or "apg" (`AnalyticPolicyGradient`).
         steps: Environment steps of a run.
-        env: Keyword arguments of the vector environment `HFrameVecEnv`, without machine, task, normalize and flat.
-            Agents are scored with the same randomization, sensors and drives.
+        env: Keyword arguments of the vector environment `HFrameVecEnv`, without machine, task, normalize and
+            flat. Agents are scored with the same randomization, sensors and drives.
         algorithm: Keyword arguments of the algorithm's class. A pair is a rate that changes linearly from the
             first value to the second over the run.
         policy: Keyword arguments of its policy class.
         task: Keyword arguments of the task class.
-        actuation: Keyword arguments of `ResidualAction`, which converts the policy's outputs to actions; if empty, the
-            outputs are the actions.
-        hindsight: Keyword arguments of `HerReplayBuffer`; if empty, the replay buffer is the algorithm's default.
+        actuation: Keyword arguments of `ResidualAction`, which converts the policy's outputs to actions; if
+            empty, the outputs are the actions.
+        hindsight: Keyword arguments of `HerReplayBuffer`; if empty, the replay buffer is the algorithm's
+            default.
         features: Keyword arguments of `feature_parameters` beside machine and period.
-        start: Name of an agent that comes with the package and from whose weights training starts; empty to start from
-            random weights.
+        start: Name of an agent that comes with the package and from whose weights training starts; empty to
+            start from random weights.
 
     Raises:
         InputError: If `env` has one of the excluded keyword arguments, or `policy` has `use_sde`.
@@ -92,26 +94,27 @@ class Recipe:
     def algorithm_keywords(self) -> dict[str, Any]:
         """Keyword arguments of the training algorithm's class: the entries of `algorithm`.
 
-        Every pair [first, last] becomes a `LinearSchedule`, a rate that changes linearly from first to last in the run.
+        Every pair [first, last] becomes a `LinearSchedule`, a rate that changes linearly from first to last
+        in the run.
         """
         return {k: LinearSchedule(*v) if isinstance(v, list) else v for k, v in self.algorithm.items()}
 
     @property
     def period(self) -> float:
-        """Control period of the training environment, s: `env["period"]`, or 0.01 s if the recipe does not state it."""
+        """Control period of the training environment, s: `env["period"]`, or 0.01 s if it is not stated."""
         return float(self.env.get("period", EnvConfig.period))
 
     @property
     def randomize(self) -> Any:
-        """Randomization of the training environment's machine: `env["randomize"]`, or "none" if the recipe lacks it."""
+        """Randomization of the training environment's machine: `env["randomize"]`, or "none" by default."""
         return self.env.get("randomize", EnvConfig.randomize)
 
     @property
     def longest_transfer(self) -> int:
-        """Duration of the longest transfer (motion to rest at the goal) that the recipe uses; -1 if it uses none.
+        """Duration of the longest transfer (motion to rest at the goal) that the recipe uses; -1 without any.
 
-        It counts in control periods beyond the shortest transfer, like the entries `transfers` of `features` and
-        `actuation`.
+        It counts in control periods beyond the shortest transfer, like the entries `transfers` of `features`
+        and `actuation`.
         """
         return max((*self.features.get("transfers", ()), *self.actuation.get("transfers", ())), default=-1)
 
@@ -127,7 +130,7 @@ def recipe_names() -> tuple[str, ...]:
 
 
 def require_transfers(recipe: Recipe, machine: Machine, task: str) -> None:
-    """Raise an InputError, with suitable recipes, if a machine's workspace is too small for a recipe's transfers."""
+    """Raise an InputError, with suitable recipes, if a machine's workspace is too small for the transfers."""
     needed, task = recipe.longest_transfer, recipe_task(task)
     if needed < 0:
         return
@@ -153,11 +156,13 @@ def require_transfers(recipe: Recipe, machine: Machine, task: str) -> None:
 def build_task(recipe: Recipe, name: str, unit: AxisUnit = METERS) -> Task:
     """Build the task of a training run, a registered name or `module:name`, with the recipe's settings.
 
-    Recipes state lengths in m. If the unit of the axes is rad, they hold as angles at the end of an arm of 0.1 m.
+    Recipes state lengths in m. If the unit of the axes is rad, they hold as angles at the end of an arm of
+    0.1 m.
 
     Raises:
-        InputError: If the task is unknown, its class does not have the keywords of `recipe.task`, or its observation
-            has another number of future goals (`Task.ahead_s`) than the features of the recipe use.
+        InputError: If the task is unknown, its class does not have the keywords of `recipe.task`, or its
+            observation has another number of future goals (`Task.ahead_s`) than the features of the recipe
+            use.
     """
     # TOML has no tuples.
     settings: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in recipe.task.items()}
@@ -179,8 +184,8 @@ def build_task(recipe: Recipe, name: str, unit: AxisUnit = METERS) -> Task:
 def recipe_task(task: str) -> str:
     """Name the task whose recipes and shipped agents apply to a task.
 
-    It is the task itself if the package has recipes for it; else the task with recipes that has the same metrics:
-    "reach" if an episode has a fixed goal, "track" if the goal moves along a path.
+    It is the task itself if the package has recipes for it; else the task with recipes that has the same
+    metrics: "reach" if an episode has a fixed goal, "track" if the goal moves along a path.
 
     Raises:
         InputError: If the task is unknown or its module cannot be imported.
@@ -192,18 +197,18 @@ def recipe_task(task: str) -> str:
 def load_recipe(name: str, task: str) -> Recipe:
     """Load the settings of a training run (a recipe) for an algorithm and a task.
 
-    A task without recipes has those of the task with the same metrics (`recipe_task`), with its own default settings
-    in place of the recipe's.
+    A task without recipes has those of the task with the same metrics (`recipe_task`), with its own default
+    settings in place of the recipe's.
 
     Args:
-        name: First part of the recipe's name, for example "ppo", "sac", "sac_her", "residual" or "adapt", or the path
-            of a recipe of your own, a file that ends in .toml. If it has `base = "ppo"`, it states what differs from
-            the package's recipe `ppo`.
+        name: First part of the recipe's name, for example "ppo", "sac", "sac_her", "residual" or "adapt", or
+            the path of a recipe of your own, a file that ends in .toml. If it has `base = "ppo"`, it states
+            what differs from the package's recipe `ppo`.
         task: Name of the task, for example "reach", or `module:name`.
 
     Raises:
-        InputError: If the task is unknown, a file is no recipe, or there is no such recipe; the message lists the
-            available recipes.
+        InputError: If the task is unknown, a file is no recipe, or there is no such recipe; the message lists
+            the available recipes.
     """
     if name.endswith(".toml"):
         return _read_recipe(Path(name), task)

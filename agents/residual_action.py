@@ -4,13 +4,13 @@
     authority = min(most, least + distance / full_at_m + speed / full_at_m_s)
     held = max(0, 1 - distance / hold_m - speed / hold_m_s), 0 by default
 
-With the tool at rest at the goal, 0.1 V moves it by 0.1 mm in one control period. A policy explores with the same noise
-everywhere; the authority makes that noise small at the goal and large far from it. Where the last action is held, the
-policy's output is a change of the voltage, which accumulates until it overcomes friction, as with an integrator. A
-feedback law is the first voltage of a motion that brings the tool to rest at its goal (`TransferBank`, `PlanBank`). The
-previous observation and action let the policy infer masses and friction, which it cannot observe; a `ParameterFilter`
-can add estimates of them.
-Training and the finished agent use this one implementation.
+With the tool at rest at the goal, 0.1 V moves it by 0.1 mm in one control period. A policy explores with the
+same noise everywhere; the authority makes that noise small at the goal and large far from it. Where the last
+action is held, the policy's output is a change of the voltage, which accumulates until it overcomes friction,
+as with an integrator. A feedback law is the first voltage of a motion that brings the tool to rest at its
+goal (`TransferBank`, `PlanBank`). The previous observation and action let the policy infer masses and
+friction, which it cannot observe; a `ParameterFilter` can add estimates of them. Training and the finished
+agent use this one implementation.
 """
 
 from __future__ import annotations
@@ -33,18 +33,20 @@ Observation = Mapping[str, NDArray[Any]]
 
 # Limit of the held action, fraction of the rated voltage: twice what overcomes Coulomb friction.
 LARGEST_HELD = 0.12
-# The position error is integrated within this distance of the goal, m, and below this speed, m/s: where friction can
-# hold the tool. Farther away or faster, the integral would grow by errors that the motion is about to remove.
+# The position error is integrated within this distance of the goal, m, and below this speed, m/s: where
+# friction can hold the tool. Farther away or faster, the integral would grow by errors that the motion is
+# about to remove.
 INTEGRAL_M, INTEGRAL_M_S = 1e-3, 0.015
 WEIGHT_SCALE = 5.0  # the weight of a transfer is proportional to exp(WEIGHT_SCALE * output)
 
 
 @dataclass(frozen=True)
 class Authority:
-    """Fractions of the rated voltage and of the last action in an action, by distance to the goal and tool speed.
+    """Fractions of rated voltage and last action in an action, by distance to the goal and tool speed.
 
     Attributes:
-        least: Fraction of the rated voltage that an output of 1 represents for a tool at rest at its goal, 0 to 1.
+        least: Fraction of the rated voltage that an output of 1 represents for a tool at rest at its goal, 0
+            to 1.
         most: Upper limit of this fraction, 0 to 1.
         full_at_m: Distance to the goal that increases the fraction by 1, m.
         full_at_m_s: Tool speed that increases the fraction by 1, m/s.
@@ -70,7 +72,7 @@ class Authority:
         ]
 
     def held(self, distance: Any, speed: Any) -> Any:
-        """Compute the fraction of the last action that remains in the next action (is held), shape (batch, 1).
+        """Compute the fraction of the last action that the next action keeps (holds), shape (batch, 1).
 
         It is max(0, 1 - distance / hold_m - speed / hold_m_s), or the number 0 if `hold_m` is 0, and
         approaches 1 at rest near the goal. The policy's output then changes the action, so that the policy
@@ -86,9 +88,11 @@ class ActionParts(NamedTuple):
     """What determines the action that results from a policy's outputs; arrays or torch tensors of a batch.
 
     Attributes:
-        offset: Part that does not depend on the outputs, fractions of the rated voltages, shape (batch, drives).
+        offset: Part that does not depend on the outputs, fractions of the rated voltages,
+            shape (batch, drives).
         authority: Fraction of the rated voltage that an output of 1 represents, shape (batch, 1).
-        laws: Voltages of K feedback laws, fractions of the rated voltages, shape (batch, K, drives); None without laws.
+        laws: Voltages of K feedback laws, fractions of the rated voltages, shape (batch, K, drives); None
+            without laws.
     """
 
     offset: Any
@@ -96,14 +100,14 @@ class ActionParts(NamedTuple):
     laws: Any = None
 
     def action(self, output: Any) -> Any:
-        """Compute the action, not limited to [-1, 1], that results from outputs; it is differentiable in torch.
+        """Compute the action, not limited to [-1, 1], that results from outputs, differentiably in torch.
 
-        It is offset + authority * output of each drive. With laws, the mean of their voltages is added, each limited to
-        +-1.2, with the weights softmax(5 * outputs for the laws).
+        It is offset + authority * output of each drive. With laws, the mean of their voltages is added, each
+        limited to +-1.2, with the weights softmax(5 * outputs for the laws).
 
         Args:
-            output: Policy outputs, dimensionless, shape (batch, drives), or (batch, drives + K) with K laws. First one
-                column per drive, then one per law.
+            output: Policy outputs, dimensionless, shape (batch, drives), or (batch, drives + K) with K laws.
+                First one column per drive, then one per law.
 
         Returns:
             The action, fractions of the rated voltages, of the type of `output`, shape (batch, drives).
@@ -119,34 +123,38 @@ class ActionParts(NamedTuple):
 
 
 class ResidualAction:
-    """Conversion of policy outputs to actions, action = base + authority * output, for a batch of environments.
+    """Conversion of outputs to actions, action = base + authority * output, for a batch of environments.
 
-    The base is the action of another controller; the authority is a fraction of the rated voltage (see `Authority`).
-    The class also adds the previous observation, the previous action and the base controller's action to the
-    observations. In every control period, call `augment` first, then `action`.
+    The base is the action of another controller; the authority is a fraction of the rated voltage (see
+    `Authority`). The class also adds the previous observation, the previous action and the base controller's
+    action to the observations. In every control period, call `augment` first, then `action`.
 
     Args:
         period: Control period, s.
         base: Name of a registered controller whose action the policy corrects; None: the policy acts alone.
-        estimates: Whether to add estimates of friction, masses and belts to the observation also without a base.
+        estimates: Whether to add estimates of friction, masses and belts to the observation also without a
+            base.
         integral: Whether to add the integral of the position error to the observation.
-        transfers: Durations, in periods beyond the shortest, of motions to rest at the goal that the policy weights.
+        transfers: Durations, in periods beyond the shortest, of motions to rest at the goal that the policy
+            weights.
         plans: Durations, in periods, of such motions that are designed for the estimated machine instead.
         parts: Whether to add the `ActionParts` to the observation, so that critics can compute the action.
         **authority: Keyword arguments of `Authority`, which limits the policy's part of the action.
 
     Attributes:
         authority: Fractions of the rated voltage and of the last action, by distance and speed.
-        tool_speeds: Columns of the array `observation` that hold the tool velocity along its axes, m/s or rad/s.
+        tool_speeds: Columns of the array `observation` that hold the tool velocity along its axes, m/s or
+            rad/s.
         meters: Length that a unit of the tool position counts as: 1 m, or 0.1 m for a rad of rotary axes.
         base: Controller whose action the policy corrects, or None.
         bank: Motions to rest at the goal (`transfers` or `plans`) whose voltages the policy weights, or None.
-        laws: Voltages of the bank in this period and their derivatives by the observation; None without a bank.
+        laws: Voltages of the bank in this period and their derivatives by the observation; None without a
+            bank.
 
     Raises:
-        InputError: If no controller is registered under the name of the base (agents are data: their files cannot name
-            a module to import), `plans` are given without `estimates` or together with `transfers`, or `parts` without
-            either.
+        InputError: If no controller is registered under the name of the base (agents are data: their files
+            cannot name a module to import), `plans` are given without `estimates` or together with
+            `transfers`, or `parts` without either.
     """
 
     def __init__(
@@ -202,7 +210,7 @@ class ResidualAction:
         return spaces.Box(-1.0, 1.0, (self._drives + (self.bank.size if self.bank else 0),), np.float32)
 
     def observation_space(self, observation_space: spaces.Dict) -> spaces.Dict:
-        """Extend the observation space of one environment by the keys that `augment` adds; `history` documents them."""
+        """Extend the observation space of an environment by the keys of `augment`, as `history` says."""
         action_box = spaces.Box(-1.0, 1.0, (self._drives,), np.float32)
         added: dict[str, spaces.Space[Any]] = {
             "last_observation": observation_space["observation"],
@@ -223,7 +231,7 @@ class ResidualAction:
         return spaces.Dict({**observation_space.spaces, **added})
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Clear the memory of environments that `mask`, shape (batch,), selects; None: all, maybe of a new number."""
+        """Clear the memory of the environments in `mask`, shape (batch,); None: all, of any number."""
         if self.base:
             self.base.reset(mask)
         self._starts.reset(mask)
@@ -231,7 +239,8 @@ class ResidualAction:
     def augment(self, observation: Observation) -> dict[str, NDArray[Any]]:
         """Build the observation of the policy and, if there is a base controller, compute its action.
 
-        Call it exactly once per control period: each call stores the observation and advances the base controller.
+        Call it exactly once per control period: each call stores the observation and advances the base
+        controller.
 
         Returns:
             The arrays of `observation` and those that the method `history` documents, SI, shape (batch,
@@ -270,7 +279,7 @@ class ResidualAction:
         return {**observation, **self.history()}
 
     def _integrate(self, error: NDArray[Any], starting: NDArray[np.bool_]) -> None:
-        """Add the position error, m, (batch, axes), to its integral; a change of its sign sets the integral to zero."""
+        """Add the position error, m, (batch, axes), to its integral, which a change of sign sets to zero."""
         near = (self._distance < INTEGRAL_M)[:, None]
         kept = np.where(near & ~starting & (error * self._integral >= 0.0), self._integral, 0.0)
         slow = (1.0 - self._speed / INTEGRAL_M_S).clip(min=0.0)[:, None]
@@ -279,27 +288,34 @@ class ResidualAction:
     def history(self) -> dict[str, NDArray[np.float32]]:
         """Return the arrays that the policy receives in addition to the environment's observation.
 
-        They are as the last call of `augment` left them. Only `last_action` changes with a call of `action`: it is then
-        the action that was just computed.
+        They are as the last call of `augment` left them. Only `last_action` changes with a call of `action`:
+        it is then the action that was just computed.
 
         Returns:
-            last_observation: `observation` of the previous period, m, rad, m/s and rad/s, shape (batch, entries) for a
+            last_observation: `observation` of the previous period, m, rad, m/s and rad/s,
+            shape (batch, entries) for a
                 batch of environments.
             last_action: Voltages divided by the rated voltages, shape (batch, drives).
-            base_action: Action of the base controller, which the policy corrects, as a fraction of the rated voltages,
+            base_action: Action of the base controller, which the policy corrects, as a fraction of the rated
+            voltages,
                 shape (batch, drives); only with a base controller.
-            expected_friction: Voltages that compensate the friction expected in the next periods, as fractions of the
-                rated voltages, shape (batch, 4 * drives); only with an `AdaptiveController` as base, whose attribute
-                documents the columns.
-            estimates: Estimated deviations of friction, masses and belts from the model, dimensionless (0.1: about 10 %
-                above), shape (batch, parameters); only if the constructor's argument `estimates` is True or the base is
-                adaptive or predictive. Attributes of `ParameterFilter` or of the base document the columns.
-            error_integral: Integral of the position error along each axis while the tool is slow and within 1 mm of the
-                goal, m s, shape (batch, axes); it begins at zero when the error changes sign. Only if the constructor's
-                argument `integral` is True.
-            action_offset, authority, law_actions: The `ActionParts` of this period, the laws joined, dimensionless,
-                shapes (batch, drives), (batch, 1) and (batch, K * drives); only if the constructor's argument `parts`
-                is True.
+            expected_friction: Voltages that compensate the friction expected in the next periods, as
+            fractions of the
+                rated voltages, shape (batch, 4 * drives); only with an `AdaptiveController` as base, whose
+                attribute documents the columns.
+            estimates: Estimated deviations of friction, masses and belts from the model, dimensionless (0.1:
+            about 10 %
+                above), shape (batch, parameters); only if the constructor's argument `estimates` is True or
+                the base is adaptive or predictive. Attributes of `ParameterFilter` or of the base document
+                the columns.
+            error_integral: Integral of the position error along each axis while the tool is slow and within
+            1 mm of the
+                goal, m s, shape (batch, axes); it begins at zero when the error changes sign. Only if the
+                constructor's argument `integral` is True.
+            action_offset, authority, law_actions: The `ActionParts` of this period, the laws joined,
+            dimensionless,
+                shapes (batch, drives), (batch, 1) and (batch, K * drives); only if the constructor's argument
+                `parts` is True.
         """
         added: dict[str, NDArray[Any]] = {
             "last_observation": self._last_observation,
@@ -321,11 +337,13 @@ class ResidualAction:
     def action(self, output: NDArray[Any]) -> Actions:
         """Convert policy outputs to actions, and record these as applied.
 
-        Without transfers and held actions, the action is base action + authority * output, where the authority is the
-        fraction of the rated voltage that an output of 1 represents. The module documents the complete formula.
+        Without transfers and held actions, the action is base action + authority * output, where the
+        authority is the fraction of the rated voltage that an output of 1 represents. The module documents
+        the complete formula.
 
         Args:
-            output: Policy outputs, usually in [-1, 1], with the entries of `action_space`, shape (batch, entries).
+            output: Policy outputs, usually in [-1, 1], with the entries of `action_space`,
+                shape (batch, entries).
         """
         self.replace_last_action(np.clip(self._parts().action(output), -1.0, 1.0))
         return self._last_action
@@ -339,14 +357,16 @@ class ResidualAction:
     def parts(self, distance: Any, speed: Any, last_action: Any, laws: Any = None) -> ActionParts:
         """Compute the parts of the actions without the base action, from arrays or torch tensors.
 
-        The offset is held * last action. The last action is limited to +-0.12; `Authority.held` computes held, 0 to 1.
+        The offset is held * last action. The last action is limited to +-0.12; `Authority.held` computes
+        held, 0 to 1.
 
         Args:
             distance: Distances to the goal, m, shape (batch,).
             speed: Tool speeds, m/s, shape (batch,).
-            last_action: Actions of the previous period, fractions of the rated voltages, shape (batch, drives).
-            laws: Voltages of K feedback laws, fractions of the rated voltages, shape (batch, K, drives). A law is the
-                first voltage of a motion that brings the tool to rest at the goal. Default: none.
+            last_action: Actions of the previous period, fractions of the rated voltages,
+                shape (batch, drives).
+            laws: Voltages of K feedback laws, fractions of the rated voltages, shape (batch, K, drives). A
+                law is the first voltage of a motion that brings the tool to rest at the goal. Default: none.
         """
         held = self.authority.held(distance, speed) * last_action.clip(-LARGEST_HELD, LARGEST_HELD)
         return ActionParts(held, self.authority(distance, speed), laws)
@@ -354,8 +374,8 @@ class ResidualAction:
     def replace_last_action(self, actions: Actions) -> None:
         """Replace the stored last action with the action that was actually applied.
 
-        Call it if the result of `action` was changed. The next observation contains the replacement, and the base
-        controller receives it.
+        Call it if the result of `action` was changed. The next observation contains the replacement, and the
+        base controller receives it.
         """
         self._last_action = actions
         if self._filter:
@@ -368,7 +388,8 @@ def residual_action(machine: Machine, settings: Mapping[str, Any], period: float
     """Create the `ResidualAction` of a recipe; None without settings: the outputs are then the actions.
 
     Args:
-        settings: The recipe's table [actuation]: keyword arguments of `ResidualAction` except machine and period.
+        settings: The recipe's table [actuation]: keyword arguments of `ResidualAction` except machine and
+            period.
         period: Control period, s.
 
     Raises:

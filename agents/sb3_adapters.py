@@ -29,11 +29,11 @@ from .residual_action import Observation, ResidualAction
 
 
 class LogScaleFeatures(BaseFeaturesExtractor):
-    """First layer of a policy: convert a dict observation to logarithmically scaled features (see features.py).
+    """First layer of a policy: convert a dict observation to logarithmic features (see features.py).
 
     Args:
-        observation_space: Space with `observation` and `desired_goal`; `preview` and the keys that `ResidualAction`
-            adds are used where present.
+        observation_space: Space with `observation` and `desired_goal`; `preview` and the keys that
+            `ResidualAction` adds are used where present.
         radii: Belt travel (radius * angle) per radian of each motor coordinate, m/rad, one per motor.
         rest: Belt travel of each motor coordinate per meter of each axis with unstretched belts, m/m, shape
             (motors, axes).
@@ -73,10 +73,10 @@ class LogScaleFeatures(BaseFeaturesExtractor):
 
     @override
     def forward(self, observation: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Compute the features g * sign(z M) * log(1 + |z M|) of a batch of observations z, shape (batch, features).
+        """Compute the features g * sign(z M) * log(1 + |z M|) of a batch of z, shape (batch, features).
 
-        z joins all arrays of an observation. M (`matrix`) forms position errors and speeds, each divided by several
-        scales; g (`gain`) scales the features, which are dimensionless, about -1 to 1.
+        z joins all arrays of an observation. M (`matrix`) forms position errors and speeds, each divided by
+        several scales; g (`gain`) scales the features, which are dimensionless, about -1 to 1.
         """
         entries = torch.cat([observation[key] for key in self.keys], dim=1)
         scaled = entries @ self.matrix
@@ -84,7 +84,7 @@ class LogScaleFeatures(BaseFeaturesExtractor):
 
 
 class ObservationBatch(dict[str, torch.Tensor]):
-    """Batch of dict observations, arrays of shape (batch, entries) by key, that `torch.cat` concatenates by key."""
+    """Batch of dict observations, (batch, entries) by key, that `torch.cat` concatenates by key."""
 
     @classmethod
     def __torch_function__(
@@ -94,7 +94,7 @@ class ObservationBatch(dict[str, torch.Tensor]):
         args: Any = (),
         kwargs: dict[str, Any] | None = None,
     ) -> ObservationBatch:
-        """Apply a function of torch to the tensors of each key; its first argument is a sequence of batches."""
+        """Apply a function of torch to the tensors of each key; its first argument lists the batches."""
         batches, *further = args
         keywords = kwargs or {}
         return cls(
@@ -105,12 +105,12 @@ class ObservationBatch(dict[str, torch.Tensor]):
 class JointReplayBuffer(DictReplayBuffer):
     """Replay buffer for CrossQ with dict observations.
 
-    CrossQ evaluates its critics on present and next observations in one pass, which normalizes them together. It
-    concatenates them by `torch.cat`, which refuses plain dicts.
+    CrossQ evaluates its critics on present and next observations in one pass, which normalizes them together.
+    It concatenates them by `torch.cat`, which refuses plain dicts.
     """
 
     def _get_samples(self, batch_inds: NDArray[np.int64], env: Any = None) -> Any:
-        """Return the transitions of given indices, shape (batch,), with observations that `torch.cat` accepts."""
+        """Return transitions of given indices, shape (batch,), with observations that `torch.cat` accepts."""
         samples = super()._get_samples(batch_inds, env)
         present, following = (ObservationBatch(o) for o in (samples.observations, samples.next_observations))
         return samples._replace(observations=present, next_observations=following)
@@ -119,8 +119,8 @@ class JointReplayBuffer(DictReplayBuffer):
 class TrainingCallback(BaseCallback):
     """Callback of a training run that calls one function after each step and another one before each rollout.
 
-    A rollout is the sequence of steps between two updates of the policy. Before a rollout, the algorithm has learned
-    from all steps so far, so that a checkpoint at this point need not contain the steps of a rollout.
+    A rollout is the sequence of steps between two updates of the policy. Before a rollout, the algorithm has
+    learned from all steps so far, so that a checkpoint at this point need not contain the steps of a rollout.
 
     Args:
         after_step: Called after each step of the environments.
@@ -142,14 +142,14 @@ class TrainingCallback(BaseCallback):
 
 
 class ResidualActionVecEnv(VecEnvWrapper):
-    """Vector environment whose actions are policy outputs, which a `ResidualAction` converts to drive actions.
+    """Vector environment whose actions are policy outputs, converted to drive actions by `ResidualAction`.
 
     Observations also contain the arrays that `ResidualAction.augment` adds.
 
     Args:
         environment: Vector environment to wrap.
-        mapping: Conversion of policy outputs to drive actions (base action + authority * output), for all environments
-            together.
+        mapping: Conversion of policy outputs to drive actions (base action + authority * output), for all
+            environments together.
     """
 
     def __init__(self, environment: HFrameVecEnv, mapping: ResidualAction) -> None:
@@ -162,22 +162,22 @@ class ResidualActionVecEnv(VecEnvWrapper):
         self.mapping = mapping
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the state without the members of the class, which the base class collects and pickle refuses."""
+        """Return the state without the class's members, which the base class collects and pickle refuses."""
         return {name: value for name, value in self.__dict__.items() if name != "class_attributes"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore a pickled environment; the base class would look for this method in the wrapped environment."""
+        """Restore a pickled environment; the base class would seek this method in the wrapped environment."""
         self.__dict__.update(state, class_attributes=dict(inspect.getmembers(type(self))))
 
     @override
     def reset(self) -> dict[str, NDArray[Any]]:
-        """Start a new episode in every environment; observations have the keys of `ResidualAction.augment`."""
+        """Start new episodes in all environments; observations have the keys of `ResidualAction.augment`."""
         self.mapping.reset()
         return self.mapping.augment(_as_dict(self.venv.reset()))
 
     @override
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Convert policy outputs to drive actions and send them to the environments; `step_wait` returns the result."""
+        """Convert policy outputs to drive actions and send them to the environments, for `step_wait`."""
         self.venv.step_async(self.mapping.action(actions))
 
     @override
@@ -186,9 +186,10 @@ class ResidualActionVecEnv(VecEnvWrapper):
     ) -> tuple[dict[str, NDArray[Any]], NDArray[np.float64], NDArray[np.bool_], list[dict[str, Any]]]:
         """Finish the step that `step_async` started; environments whose episode has ended are reset.
 
-        In the last observation of an episode (`terminal_observation`), the arrays that `ResidualAction` adds are those
-        of the period before, except `last_action`. To compute them again, the base controller (whose action the policy
-        corrects) would be called twice in a period. The machine is usually at rest by then, so they hardly differ.
+        In the last observation of an episode (`terminal_observation`), the arrays that `ResidualAction` adds
+        are those of the period before, except `last_action`. To compute them again, the base controller
+        (whose action the policy corrects) would be called twice in a period. The machine is usually at rest
+        by then, so they hardly differ.
         """
         observation, reward, done, infos = self.venv.step_wait()
         history = self.mapping.history()

@@ -1,7 +1,7 @@
 """Models of stable-baselines3 (`model.save("model.zip")`) as controllers.
 
-Importing this module registers them with `hframe_gym.evaluation.make_controller`. Loading such a file executes code
-that it may contain: evaluate only files whose origin you trust.
+Importing this module registers them with `hframe_gym.evaluation.make_controller`. Loading such a file
+executes code that it may contain: evaluate only files whose origin you trust.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ _FORMS = tuple(
     for flat in (False, True)
     for normalize in (False, True)
 )
-# In place of the settings of a replay buffer, which a policy does not need: one of a million transitions would be
-# allocated, and that of hindsight experience replay refuses to exist without its environment.
+# In place of the settings of a replay buffer, which a policy does not need: one of a million transitions
+# would be allocated, and that of hindsight experience replay refuses to exist without its environment.
 _NO_REPLAY: dict[str, Any] = {"buffer_size": 1, "replay_buffer_class": None, "replay_buffer_kwargs": {}}
 # Module of the policy classes of PPO and A2C; those of the other algorithms are in a module of their name.
 _ON_POLICY = "stable_baselines3.common.policies"
@@ -86,8 +86,9 @@ class ZipSource(ControllerSource):
         """Load a model from a zip file, and find the form of observations with which it was trained.
 
         Raises:
-            InputError: If the file is no model of stable-baselines3, its observations or actions are not those of an
-                environment of this scenario (the message says which are missing), or `VecNormalize` scaled them.
+            InputError: If the file is no model of stable-baselines3, its observations or actions are not
+                those of an environment of this scenario (the message says which are missing), or
+                `VecNormalize` scaled them.
             ImportError: If the extra `agents` is not installed.
         """
         if not _is_zip(name):
@@ -121,7 +122,7 @@ class ZipSource(ControllerSource):
     @staticmethod
     @override
     def files(name: str, scenario: Scenario) -> ControllerFiles | None:
-        """List the file, whose content identifies the model, and its algorithm and number of training steps."""
+        """List the file, whose content identifies the model, its algorithm and number of training steps."""
         if not _is_zip(name):
             return None
         data = _data(Path(name))
@@ -180,12 +181,12 @@ def _load(path: Path) -> Any:
 
 
 def _check_scaling(name: str, model: Any) -> None:
-    """Raise InputError if `VecNormalize` scaled the observations of the training; warn if it may have scaled them.
+    """Raise InputError if `VecNormalize` scaled the training's observations; warn if it may have done so.
 
-    Its statistics are not in the file, but the last observations are: scaled to a standard deviation of 1, they leave
-    the observation space, which `VecNormalize` does not change, and observations of the environment never do. Where
-    they do not, an algorithm without a replay buffer has original observations only if there was a `VecNormalize`,
-    which may have scaled nothing but the rewards.
+    Its statistics are not in the file, but the last observations are: scaled to a standard deviation of 1,
+    they leave the observation space, which `VecNormalize` does not change, and observations of the
+    environment never do. Where they do not, an algorithm without a replay buffer has original observations
+    only if there was a `VecNormalize`, which may have scaled nothing but the rewards.
     """
     last, space = getattr(model, "_last_obs", None), model.observation_space
     advice = (
@@ -231,7 +232,7 @@ def _same(space: Any, other: Any) -> bool:
 
 
 def _difference(space: Any, wanted: Any) -> str:
-    """Return a sentence about what a model observes and the environment does not have, or the other way round."""
+    """Return a sentence about what a model observes and the environment does not have, or the reverse."""
     if isinstance(space, spaces.Dict):
         missing = ", ".join(key for key in wanted.spaces if key not in space.spaces)
         superfluous = ", ".join(key for key in space.spaces if key not in wanted.spaces)

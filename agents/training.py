@@ -1,10 +1,11 @@
 """Train agents on the vector environment with the settings of a recipe, and resume interrupted runs.
 
-A run writes to its folder the agent with the best evaluation so far (agent.json, machine.json, policy.safetensors), its
-card (card.json, README.md), tensorboard/, and for `resume` checkpoint.zip, replay.pkl and environment.pkl. These three
-are pickles, which execute code when they are loaded: they are signed, and only files that this installation wrote are
-loaded (`checkpoint_signature`). After each evaluation all files but the logs are replaced together. A run may therefore
-be killed at any time; `resume` continues it as if it had not been interrupted.
+A run writes to its folder the agent with the best evaluation so far (agent.json, machine.json,
+policy.safetensors), its card (card.json, README.md), tensorboard/, and for `resume` checkpoint.zip,
+replay.pkl and environment.pkl. These three are pickles, which execute code when they are loaded: they are
+signed, and only files that this installation wrote are loaded (`checkpoint_signature`). After each evaluation
+all files but the logs are replaced together. A run may therefore be killed at any time; `resume` continues it
+as if it had not been interrupted.
 """
 
 from __future__ import annotations
@@ -40,8 +41,8 @@ from .optional_dependencies import (
 from .recipe import ALGORITHMS, Recipe, build_task, load_recipe, recipe_task, require_transfers
 from .residual_action import residual_action
 
-# Environment i of a run with seed s has the seed TRAINING_SEED + s * SEED_STRIDE + i. The seeds of the evaluation
-# episodes are smaller, so that no training run contains these episodes.
+# Environment i of a run with seed s has the seed TRAINING_SEED + s * SEED_STRIDE + i. The seeds of the
+# evaluation episodes are smaller, so that no training run contains these episodes.
 EVALUATION_SEED = 1_000_000
 TRAINING_SEED = 10_000_000
 SEED_STRIDE = 100_000
@@ -66,36 +67,41 @@ def train(
     log: LineLog = print,
     progress: Progress = lambda done, total: None,
 ) -> dict[str, Any]:
-    """Train an agent by a recipe (settings of a training run) and write its version with the best scores to a folder.
+    """Train an agent by a recipe (settings) and write its version with the best scores to a folder.
 
-    The same seed gives the same agent, bit for bit, with the same package versions on the same processor. A resumed run
-    with the same number of steps gives the agent of an uninterrupted one, bit for bit; only times and logs differ.
+    The same seed gives the same agent, bit for bit, with the same package versions on the same processor. A
+    resumed run with the same number of steps gives the agent of an uninterrupted one, bit for bit; only times
+    and logs differ.
 
     Args:
-        algorithm: A recipe, or the first part of the name of a recipe in the package: "ppo" is the recipe ppo_reach for
-            the task "reach". `recipe_names` lists them.
+        algorithm: A recipe, or the first part of the name of a recipe in the package: "ppo" is the recipe
+            ppo_reach for the task "reach". `recipe_names` lists them.
         machine: Machine to train on: object, built-in name such as "hframe", or path of a machine.json.
-        task: Name of the task: "reach", "track", another registered one, or `module:name` (see `load_recipe`).
-        steps: Environment steps in total, including those before a resume; the last rollout is completed. Default: the
-            recipe's.
+        task: Name of the task: "reach", "track", another registered one, or `module:name` (see
+            `load_recipe`).
+        steps: Environment steps in total, including those before a resume; the last rollout is completed.
+            Default: the recipe's.
         seed: Seed of the network, the episodes and the algorithm, not negative.
-        randomize: Randomization of the machine's parameters in place of the recipe's, for example "identified" for a
-            machine.json with standard deviations.
+        randomize: Randomization of the machine's parameters in place of the recipe's, for example
+            "identified" for a machine.json with standard deviations.
         out: Folder for the agent and the checkpoint.
         resume: Continue from the checkpoint in `out`.
-        trust: Resume also from a checkpoint that this installation did not write. Loading it executes code that it may
-            contain.
-        force: Replace an agent or checkpoint that `out` holds. Without it and `resume`, such a folder is refused.
+        trust: Resume also from a checkpoint that this installation did not write. Loading it executes code
+            that it may contain.
+        force: Replace an agent or checkpoint that `out` holds. Without it and `resume`, such a folder is
+            refused.
         log: Function that receives one line of text after each evaluation.
         progress: Function that receives the number of environment steps done and the total, after each step.
 
     Returns:
-        Contents of card.json: recipe, package versions and learning curve (`curve`, one row of scores per evaluation).
+        Contents of card.json: recipe, package versions and learning curve (`curve`, one row of scores per
+        evaluation).
 
     Raises:
-        InputError: If the recipe or task is unknown or does not fit the machine; if `out` holds a run and neither
-            `resume` nor `force` is set; if `out` has no checkpoint of this recipe, machine and seed to resume, or one
-            that this installation did not write and `trust` is not set; or if another process writes to `out`.
+        InputError: If the recipe or task is unknown or does not fit the machine; if `out` holds a run and
+            neither `resume` nor `force` is set; if `out` has no checkpoint of this recipe, machine and seed
+            to resume, or one that this installation did not write and `trust` is not set; or if another
+            process writes to `out`.
         ImportError: If the extra `agents` is not installed; the message names it.
     """
     recipe = algorithm if isinstance(algorithm, Recipe) else load_recipe(algorithm, task)
@@ -227,7 +233,7 @@ class _Run:
         return model
 
     def _load_checkpoint(self, trust: bool) -> Any:
-        """Load the folder's checkpoint: model, environment, random numbers, and the learning curve into the card."""
+        """Load the folder's checkpoint: model, environment, random numbers, and the card's learning curve."""
         complete_commit(self.folder)
         card_file, checkpoint, environment, replay = (self.folder / name for name in RESUME_FILES)
         for file in (card_file, checkpoint, environment):
@@ -296,7 +302,7 @@ class _Run:
         self.evaluated = True
 
     def _save(self) -> None:
-        """Write the last evaluation, if it is not written yet: checkpoint, card and the agent to keep, all together.
+        """Write the last evaluation, unless it is written: checkpoint, card and the agent to keep, together.
 
         It runs between two rollouts, where the state of the run consists of what these files hold.
         """

@@ -38,23 +38,25 @@ def train_seeds(
 ) -> dict[int, dict[str, Any]]:
     """Train one agent per seed, several at a time; each equals, bit for bit, the agent that `train` gives.
 
-    Worker processes train on one core each in temporary folders. The calling process writes an agent when its training
-    is complete; if the calling process ends before, incomplete runs are lost. A run whose worker dies starts again.
-    Arguments that are not described are those of `train`.
+    Worker processes train on one core each in temporary folders. The calling process writes an agent when its
+    training is complete; if the calling process ends before, incomplete runs are lost. A run whose worker
+    dies starts again. Arguments that are not described are those of `train`.
 
     Args:
         out: Folder for the agents: the agent of seed N in its folder seed_N, a single one in `out` itself.
         log: Function that receives one line of text when a run is complete.
         progress: Function that receives the number of complete runs and of all runs, after each run.
-        ray: Ray runs the workers instead: "local" starts it on this machine, "auto" is the running cluster that this
-            machine belongs to, "HOST:PORT" the head node of a cluster. Default: local processes.
+        ray: Ray runs the workers instead: "local" starts it on this machine, "auto" is the running cluster
+            that this machine belongs to, "HOST:PORT" the head node of a cluster. Default: local processes.
 
     Returns:
         Contents of each agent's card.json, by seed: recipe, package versions and learning curve.
 
     Raises:
-        InputError: If an argument is wrong, a folder holds a run or is being written, or the cluster is out of reach.
-        ImportError: If the extra `agents` is not installed, or the extra `ray` if the argument `ray` is given.
+        InputError: If an argument is wrong, a folder holds a run or is being written, or the cluster is out
+            of reach.
+        ImportError: If the extra `agents` is not installed, or the extra `ray` if the argument `ray` is
+            given.
     """
     recipe = algorithm if isinstance(algorithm, Recipe) else load_recipe(algorithm, task)
     require_training_packages(recipe.kind)
@@ -78,7 +80,7 @@ def train_seeds(
 def _run_folders(
     out: Path, recipe: str, task: str, machine: str, seeds: Sequence[int], force: bool
 ) -> list[Path]:
-    """Return the folder of each seed's run; refuse equal seeds, and a folder with a run that may not be replaced."""
+    """Return the folder of each seed's run; refuse equal seeds, and a run that may not be replaced."""
     if len(set(seeds)) < len(seeds):
         raise InputError(f"seeds {', '.join(map(str, seeds))}: one is given twice")
     folders = [out / f"seed_{seed}" for seed in seeds] if len(seeds) > 1 else [out]

@@ -13,8 +13,8 @@ def update_average(average: Any, trained: Any, averaging: float, updates: int) -
     """Update the averages of the weights of a module of the same class, in place, for the n-th of `updates`.
 
     Args:
-        averaging: Fraction of the average that remains, 0 to below 1. At the beginning it is smaller, so that the
-            average forgets the first weights.
+        averaging: Fraction of the average that remains, 0 to below 1. At the beginning it is smaller, so that
+            the average forgets the first weights.
     """
     kept = min(averaging, updates / (updates + HALF_KEPT_AFTER))
     with torch.no_grad():

@@ -59,7 +59,7 @@ def benchmarks() -> dict[str, str]:
 
 
 def commands(names: Sequence[str]) -> list[str]:
-    """Return the commands for RESULTS.md of some benchmarks, or their bare names; all commands for no names."""
+    """Return the commands for RESULTS.md of some benchmarks, or their bare names; all for no names."""
     for_results = [command for command in IN_RESULTS if not names or command.split()[0] in names]
     return for_results + [name for name in names if not any(c.split()[0] == name for c in for_results)]
 

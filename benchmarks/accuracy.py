@@ -1,12 +1,12 @@
-"""How accurate is the kernel? Its error against an event-driven reference, and that of MuJoCo's model of the stage.
+"""How accurate is the kernel? Its error and that of MuJoCo's model against an event-driven reference.
 
     python -m benchmarks.accuracy
 
-The reference is `tests.reference_simulator`, an adaptive Runge-Kutta pair between friction events, which shares no code
-with the package. Histories are 0.4 s of random voltages that change every 10 ms. The error is the distance of two tool
-positions, sqrt(dx^2 + dy^2). The stiffness of MuJoCo's belts cannot depend on the carriage's position, so for that
-comparison all simulators run the stage with belts of constant stiffness. Seed and versions are in
-results/accuracy.json.
+The reference is `tests.reference_simulator`, an adaptive Runge-Kutta pair between friction events, which
+shares no code with the package. Histories are 0.4 s of random voltages that change every 10 ms. The error is
+the distance of two tool positions, sqrt(dx^2 + dy^2). The stiffness of MuJoCo's belts cannot depend on the
+carriage's position, so for that comparison all simulators run the stage with belts of constant stiffness.
+Seed and versions are in results/accuracy.json.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def distance(a: Array, b: Array) -> Array:
 
 
 def summary(positions: Array, exact: Array) -> dict[str, float]:
-    """Return median, 95th percentile and maximum over the histories of the tool's largest and final error, m."""
+    """Return median, 95th percentile and maximum over the histories of largest and final tool error, m."""
     error = distance(positions, exact)
     worst, last = error.max(axis=1), error[:, -1]
     return {
@@ -117,7 +117,8 @@ def order(errors: dict[float, float]) -> float:
     return float(np.polyfit(np.log(list(errors)), np.log(list(errors.values())), 1)[0])
 
 
-# -- energy ------------------------------------------------------------------------------------------------------------
+# -- energy
+# ------------------------------------------------------------------------------------------------------------
 
 
 def stored_energy(machine: Machine, out: Array) -> Array:
@@ -155,7 +156,8 @@ def energy_drift(machine: Machine, step: float, duration: float = 10.0) -> tuple
         duration: Simulated time, s.
 
     Returns:
-        Largest relative deviation of the energy, and its relative change between the first and the last second.
+        Largest relative deviation of the energy, and its relative change between the first and the last
+        second.
     """
     free = conservative(machine)
     time = np.arange(round(duration / 5e-3) + 1) * 5e-3
@@ -170,8 +172,8 @@ def energy_drift(machine: Machine, step: float, duration: float = 10.0) -> tuple
 def energy_balance(machine: Machine, inputs: Array, step: float) -> Array:
     """Return the relative error of the energy balance of driven runs.
 
-    The work of the voltages equals the change of the stored energy plus the viscous, back-EMF and Coulomb losses. The
-    losses are integrated over the kernel's steps.
+    The work of the voltages equals the change of the stored energy plus the viscous, back-EMF and Coulomb
+    losses. The losses are integrated over the kernel's steps.
 
     Args:
         machine: Machine without effects.
@@ -202,7 +204,8 @@ def energy_balance(machine: Machine, inputs: Array, step: float) -> Array:
     return (work - lost - stored) / scale
 
 
-# -- sticking ----------------------------------------------------------------------------------------------------------
+# -- sticking
+# ----------------------------------------------------------------------------------------------------------
 
 # 0.3 s of motion, 1 s to come to rest on stretched belts under a small voltage, then 10 s at that voltage.
 HOLD_VOLTAGE = (0.2, -0.15)  # V: 0.038 Nm and 0.029 Nm, below the pulleys' 0.05 Nm
@@ -214,7 +217,7 @@ def hold_inputs() -> Array:
 
 
 def creep(positions: Array) -> float:
-    """Return the largest motion of any coordinate over the last 10 s, m of travel, from positions (1131, 4)."""
+    """Return the largest motion of a coordinate over the last 10 s, m of travel, from positions (1131, 4)."""
     travel = positions * np.array([1.0, 1.0, 0.0194, 0.0194])
     return float(np.ptp(travel[-1001:], axis=0).max())
 
@@ -225,7 +228,8 @@ def kernel_creep(machine: Machine, step: float) -> float:
     return creep(rollout(machine, np.arange(len(inputs)) * HOLD, inputs, longest_step=step)[0])
 
 
-# -- the report --------------------------------------------------------------------------------------------------------
+# -- the report
+# --------------------------------------------------------------------------------------------------------
 
 
 def micro(value: float) -> str:
@@ -270,7 +274,7 @@ def against_reference(console: Console, machine: Machine) -> tuple[Results, dict
 
 
 def compare_with_mujoco(console: Console, machine: Machine) -> Results:
-    """Compare kernel, MuJoCo and reference on the stage with constant stiffness, at the same steps and pairwise."""
+    """Compare kernel, MuJoCo and reference on the stage of constant stiffness, at equal steps, by pairs."""
     from benchmarks.mujoco_stage import FRICTION, INTEGRATORS, Choice, MujocoStage, constant_at_center
 
     stage = constant_at_center(machine)

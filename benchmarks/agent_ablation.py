@@ -2,12 +2,12 @@
 
     python -m benchmarks.agent_ablation [--steps 400000] [--seeds 1] [--only NAME ...] [--out FOLDER]
 
-Every variant is trained by `hframe_gym.agents.train`, and the agent that is kept is scored on 512 episodes of seed 0;
-the scores of the shipped agents use other ones. Short trainings show what learns fast, not what ends best. The variants
-of `OFF_POLICY` compare the algorithms SAC, TQC and CrossQ; run them by `--only`. `--steps` does not apply to them: one
-step costs several times as much as with the others, because the weights change every few steps. `--out` keeps the
-agents, for example for `hframe evaluate FOLDER --protocol reach-v1`. Results are added to results/agent_ablation.json,
-which keeps variants that are not run again.
+Every variant is trained by `hframe_gym.agents.train`, and the agent that is kept is scored on 512 episodes of
+seed 0; the scores of the shipped agents use other ones. Short trainings show what learns fast, not what ends
+best. The variants of `OFF_POLICY` compare the algorithms SAC, TQC and CrossQ; run them by `--only`. `--steps`
+does not apply to them: one step costs several times as much as with the others, because the weights change
+every few steps. `--out` keeps the agents, for example for `hframe evaluate FOLDER --protocol reach-v1`.
+Results are added to results/agent_ablation.json, which keeps variants that are not run again.
 """
 
 from __future__ import annotations
@@ -53,7 +53,8 @@ def _as_crossq(recipe: Recipe) -> Recipe:
 def _outputs_are_voltages(recipe: Recipe) -> Recipe:
     """Return the recipe of SAC without the parts of `apg_mix`, with settings that were chosen for it.
 
-    The policy's outputs are the two voltages, scaled by the distance to the goal; nothing is held, nothing estimated.
+    The policy's outputs are the two voltages, scaled by the distance to the goal; nothing is held, nothing
+    estimated.
     """
     changed = _with("env", num_envs=32)(
         replace(recipe, steps=160_000, actuation={"least": 0.06}, features={})
@@ -113,7 +114,7 @@ GROUPS = {"variants": VARIANTS, "off_policy": OFF_POLICY}
 
 
 def score(agent: Agent) -> dict[str, Any]:
-    """Return the success rate by band and the mean settling time over the mean bound, with its 95 % interval."""
+    """Return the success rate by band and the mean settling time over the mean bound, with 95 % interval."""
     episodes = rollout(agent, SCENARIO)
     bounds = stored_bounds(SCENARIO).times_s
     assert bounds is not None

@@ -1,13 +1,13 @@
-"""How much does an agent depend on the seed of its training? Ten trainings of a recipe: scores and learning curves.
+"""How much does an agent depend on the seed of its training? Scores and learning curves of ten trainings.
 
     python -m benchmarks.agent_seeds ppo_mix [sac ...] [--seeds 0 1 2 ...] [--jobs 1] [--out out/agents/reach]
 
-It trains on the task `reach` from random weights and scores each agent on the 512 episodes of the protocol reach-v1,
-which no choice was based on (`benchmarks.agents.TRIAL`). Agents that the package ships were trained by the same
-command, and are not trained again. A run that was interrupted goes on with the next call. Entries of gap-v1 use the
-agents that were trained (`agent_folder`). Results are added to
-results/agent_seeds.json, which keeps recipes that are not run again; docs/figures/agent_seeds.png shows the learning
-curves, measured on 256 other episodes.
+It trains on the task `reach` from random weights and scores each agent on the 512 episodes of the protocol
+reach-v1, which no choice was based on (`benchmarks.agents.TRIAL`). Agents that the package ships were trained
+by the same command, and are not trained again. A run that was interrupted goes on with the next call. Entries
+of gap-v1 use the agents that were trained (`agent_folder`). Results are added to results/agent_seeds.json,
+which keeps recipes that are not run again; docs/figures/agent_seeds.png shows the learning curves, measured
+on 256 other episodes.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ SLOWEST_S = 0.5  # s, upper end of the axis: untrained agents need the length of
 
 
 def trained(run: tuple[Recipe, int, Path]) -> Path:
-    """Return the folder of the complete agent of a recipe and seed; train it, or continue, where there is none."""
+    """Return the folder of a recipe and seed's complete agent; train it, or go on, where there is none."""
     recipe, seed, folder = run
     shipped = SHIPPED / TASK / f"{recipe.name.removesuffix(f'_{TASK}')}-seed{seed}"
     for there in (shipped, folder):
@@ -96,8 +96,8 @@ def summary(folders: Sequence[Path], seeds: Sequence[int]) -> dict[str, Any]:
         seeds: Seeds of their training.
 
     Returns:
-        `over_bound`: ratio of the mean settling time to the mean bound, over all seeds and `by_seed`, with intervals
-        over episodes (and seeds). `agents`: cost, scores and learning curve of each.
+        `over_bound`: ratio of the mean settling time to the mean bound, over all seeds and `by_seed`, with
+        intervals over episodes (and seeds). `agents`: cost, scores and learning curve of each.
     """
     bounds = stored_bounds(scenario(TASK)).times_s
     assert bounds is not None
@@ -123,7 +123,7 @@ def summary(folders: Sequence[Path], seeds: Sequence[int]) -> dict[str, Any]:
 
 
 def draw(recipes: dict[str, Any]) -> None:
-    """Draw the learning curves of all recipes: median over the seeds, and the range from the best to the worst."""
+    """Draw the learning curves of all recipes: median over the seeds, and the range from best to worst."""
     figure, axes = plt.subplots(1, len(CURVES), figsize=(9, 3.2), layout="constrained")
     for (name, result), color in zip(recipes.items(), COLORS, strict=False):
         curves = [agent["curve"] for agent in result["agents"]]

@@ -1,17 +1,17 @@
 """How good are the shipped agents? Train them to agents/shipped/TASK/NAME-seedK, and score them.
 
     python -m benchmarks.agents train residual --task reach --seeds 0 1 2    # minutes per seed
-    python -m benchmarks.agents score                                        # all shipped agents -> results/agents.json
-    python -m benchmarks.agents score --recipes apg                          # those of one recipe, others kept
+    python -m benchmarks.agents score                                        # all shipped agents: agents.json
+    python -m benchmarks.agents score --recipes apg                          # those of a recipe, others kept
 
-A shipped agent is the result of `hframe train` with its recipe. Its card also lists scores and failures on episodes
-that no training used. The recipes were chosen on other episodes (those of the learning curves) than those of the
-scores.
+A shipped agent is the result of `hframe train` with its recipe. Its card also lists scores and failures on
+episodes that no training used. The recipes were chosen on other episodes (those of the learning curves) than
+those of the scores.
 
-`score` also compares each agent with the model-based PID on the same episodes, per seed and over all seeds of a recipe:
-on `reach` the mean settling time over the mean physical bound, on `track` the mean contour error over that of the PID,
-for each path. Intervals are 95 % bootstraps over pairs of the same episode; for a recipe the bootstrap also resamples
-its seeds.
+`score` also compares each agent with the model-based PID on the same episodes, per seed and over all seeds of
+a recipe: on `reach` the mean settling time over the mean physical bound, on `track` the mean contour error
+over that of the PID, for each path. Intervals are 95 % bootstraps over pairs of the same episode; for a
+recipe the bootstrap also resamples its seeds.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ def ratio(numerator: Array, denominator: Array) -> dict[str, Any]:
 def score(
     task: str, recipes: Sequence[str] | None = None, previous: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
-    """Score the controllers and the shipped agents of a task, and compare each recipe with the PID and the bound.
+    """Score the controllers and shipped agents of a task; compare each recipe with the PID and the bound.
 
     Args:
         task: Name of the task.

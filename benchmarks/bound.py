@@ -1,12 +1,12 @@
 """How close do the controllers come to the minimum settling time, and how accurate is that bound?
 
-    python -m benchmarks.bound             # the bounds of the episodes of `benchmarks.controllers`: 20 minutes
+    python -m benchmarks.bound             # bounds of the episodes of `benchmarks.controllers`: 20 minutes
     python -m benchmarks.bound --seed 0    # those of another seed as well
 
-The time-optimal bounds are stored in the package (hframe_gym/evaluation/bound_times_data/), a few episodes at a time;
-stored ones are not computed again. Compared: the controllers of `benchmarks.controllers` on the same episodes. The
-accuracy of the bound is tested by an open-loop replay on the exact stage and by refined discretizations. Seed and
-versions are in results/bound.json.
+The time-optimal bounds are stored in the package (hframe_gym/evaluation/bound_times_data/), a few episodes at
+a time; stored ones are not computed again. Compared: the controllers of `benchmarks.controllers` on the same
+episodes. The accuracy of the bound is tested by an open-loop replay on the exact stage and by refined
+discretizations. Seed and versions are in results/bound.json.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""Do verdicts hold on rigs whose voltages come from a position controller? Names, errors on unseen runs, and time.
+"""Do verdicts hold on rigs under a position controller? Names, errors on unseen runs, and time.
 
     python -m benchmarks.closed_loop_rigs                       # all eight
     python -m benchmarks.closed_loop_rigs --only 1 3 --log      # some of them; nothing is written
 
-The recordings are those of $HFRAME_DATA/closed_loop_rigs; without them, the benchmark says so and ends. They come
-from a simulator that shares no code with this package: a controller follows machine programs, and its voltages
-saturate and pass a 12-bit converter. Each folder has ``runs`` to identify, ``unseen`` runs in open loop to judge by,
-the declared ``machine.json``, and ``truth.json`` in words.
+The recordings are those of $HFRAME_DATA/closed_loop_rigs; without them, the benchmark says so and ends. They
+come from a simulator that shares no code with this package: a controller follows machine programs, and its
+voltages saturate and pass a 12-bit converter. Each folder has ``runs`` to identify, ``unseen`` runs in open
+loop to judge by, the declared ``machine.json``, and ``truth.json`` in words.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
     python -m benchmarks.controllers
 
-Compared on identical episodes with default randomization: the model-based PID at 10 and 2 ms and with the rig's
-sensors, the adaptive PID, and a textbook PID. Seed and versions are in results/controllers.json.
+Compared on identical episodes with default randomization: the model-based PID at 10 and 2 ms and with the
+rig's sensors, the adaptive PID, and a textbook PID. Seed and versions are in results/controllers.json.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from hframe_gym.envs import SensorsLike, Track
 from hframe_gym.evaluation import Scenario, make_controller, rollout, score_episodes, stored_bounds
 from tools.command_line import command_line
 
-# The state estimator of `pid, rig` was developed on these episodes; those of seed 0 verify it (bound_seed0.json).
+# The state estimator of `pid, rig` was developed on these episodes; those of seed 0 verify it
+# (bound_seed0.json).
 SEED, EPISODES = 1000, 512
 BAND = "0.2mm"
 RUNS: dict[str, tuple[str, float, SensorsLike]] = {
@@ -26,13 +27,13 @@ RUNS: dict[str, tuple[str, float, SensorsLike]] = {
     "adaptive-pid": ("adaptive-pid", 0.01, "state"),
     "textbook-pid": ("textbook-pid", 0.01, "state"),
 }
-# Paths of 50 mm at 0.3 m/s. The complete episode counts: the lead-in, and for the square its sharp corners, which no
-# stage can pass at speed. The errors are therefore for comparison; zero is not attainable.
+# Paths of 50 mm at 0.3 m/s. The complete episode counts: the lead-in, and for the square its sharp corners,
+# which no stage can pass at speed. The errors are therefore for comparison; zero is not attainable.
 PATHS = ("circle", "square", "lissajous")
 
 
 def measure(seed: int, episodes: int, pictures: Path | None = None) -> dict[str, Any]:
-    """Return the scores by task and controller, and save a picture of each first episode if a folder is given."""
+    """Return the scores by task and controller, and draw each first episode if a folder is given."""
     by_task: dict[str, Any] = {}
     for task in ("reach", *PATHS):
         by_task[task] = {}

@@ -1,26 +1,27 @@
-"""Does the identified machine give better controllers? They are evaluated on the rig from which it was identified.
+"""Does the identified machine give better controllers? They run on the rig from which it was identified.
 
-    python -m benchmarks.corrected_control                                # all rigs: identify, train, evaluate (2 h)
-    python -m benchmarks.corrected_control --rigs 'cogging@motor1 full'   # only this rig; the others keep their results
-    python -m benchmarks.corrected_control --controllers apg_mix          # only these; the others keep their results
+    python -m benchmarks.corrected_control                                # all rigs: two hours
+    python -m benchmarks.corrected_control --rigs 'cogging@motor1 full'   # only this rig; the others stay
+    python -m benchmarks.corrected_control --controllers apg_mix          # only these; the others stay
 
-Each rig of the independent simulator has one or three undeclared effects and parameters that are 5 to 20 % off. From
-its recordings `identify` gives three machines: declared, refitted (before) and corrected (after). Each machine alone is
-the basis of the model-based PID, the adaptive PID and the predictive controller, and of learned controllers with three
-seeds each:
+Each rig of the independent simulator has one or three undeclared effects and parameters that are 5 to 20 %
+off. From its recordings `identify` gives three machines: declared, refitted (before) and corrected (after).
+Each machine alone is the basis of the model-based PID, the adaptive PID and the predictive controller, and of
+learned controllers with three seeds each:
 
 ppo       PPO that continues from the shipped agent
-apg_mix   analytic policy gradient that continues from the shipped agent of the same seed; the linear feedback laws that
-          it weights are those of the machine
+apg_mix   analytic policy gradient that continues from the shipped agent of the same seed; the linear feedback
+          laws that it weights are those of the machine
 residual  a PPO correction of that machine's adaptive PID, from scratch
 
-All of them control the rig through the same episodes, with the full state every 10 ms: to points or along circles, the
-controllers that are not learned both.
+All of them control the rig through the same episodes, with the full state every 10 ms: to points or along
+circles, the controllers that are not learned both.
 
-Training uses the same recipe, steps and seeds for all machines; the steps are fewer than those of shipped agents. The
-declared and the refitted machine have the default randomization, because their error is unknown; the corrected one has
-the uncertainty of its file. Differences are paired (same episode and seed) with 95 % bootstrap intervals over the
-episodes, each the mean over its seeds. Seeds and versions are in results/corrected_control.json.
+Training uses the same recipe, steps and seeds for all machines; the steps are fewer than those of shipped
+agents. The declared and the refitted machine have the default randomization, because their error is unknown;
+the corrected one has the uncertainty of its file. Differences are paired (same episode and seed) with 95 %
+bootstrap intervals over the episodes, each the mean over its seeds. Seeds and versions are in
+results/corrected_control.json.
 """
 
 from __future__ import annotations
@@ -147,8 +148,8 @@ def controllers(
         seeds: Seeds of the trainings.
 
     Yields:
-        Key of `DECIDES`, name of the machine, controller, and of a learned one the steps and the processor time, s, of
-        its training and the step at which it was kept.
+        Key of `DECIDES`, name of the machine, controller, and of a learned one the steps and the processor
+        time, s, of its training and the step at which it was kept.
     """
     for (stage, machine), kind in itertools.product(machines(session).items(), kinds):
         if kind not in LEARNED:
@@ -176,8 +177,8 @@ def score(run: Driven) -> dict[str, Array]:
         run: Closed-loop episodes.
 
     Returns:
-        Along a path: rms and maximum contour error, mm. Otherwise: final error, mm, and per band success and settling
-        time, s.
+        Along a path: rms and maximum contour error, mm. Otherwise: final error, mm, and per band success and
+        settling time, s.
     """
     if run.contour is not None:
         rms = 1e3 * np.sqrt(np.mean(run.contour**2, axis=1))
@@ -192,7 +193,7 @@ def score(run: Driven) -> dict[str, Array]:
 def compare_machines(
     session: Session, kinds: Sequence[str], episodes: int, seeds: Sequence[int]
 ) -> dict[str, Any]:
-    """Return the results of one rig: scores by controller and machine, and differences to the corrected machine."""
+    """Return the results of a rig: scores by controller and machine, and differences to the corrected one."""
     rig, declared = session.case.rig()[0], session.machine()
     scores: dict[str, dict[str, list[dict[str, Array]]]] = {kind: {} for kind in kinds}
     trainings: dict[str, dict[str, list[dict[str, float]]]] = {kind: {} for kind in kinds}
@@ -213,7 +214,7 @@ def compare_machines(
 
 
 def _with_gains(by_machine: dict[str, list[dict[str, Array]]]) -> dict[str, Any]:
-    """Return means and intervals of the scores by machine, and of their differences from the corrected machine."""
+    """Return means and intervals of the scores by machine, and of differences from the corrected machine."""
     mean = {
         name: {key: np.mean([run[key] for run in runs], axis=0) for key in runs[0]}
         for name, runs in by_machine.items()
@@ -238,7 +239,7 @@ def _with_gains(by_machine: dict[str, list[dict[str, Array]]]) -> dict[str, Any]
 
 
 def better(row: dict[str, Any], kind: str, over: str) -> bool:
-    """Return whether the corrected machine's controller is significantly better and succeeds at least as often."""
+    """Return whether the corrected machine's controller is significantly better and succeeds as often."""
     gain = row[kind]["gain"][over]
     return (
         gain[DECIDES[kind]]["ci95"][1] < 0.0

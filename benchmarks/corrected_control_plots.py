@@ -1,4 +1,4 @@
-"""Draw the results of benchmarks.corrected_control: each controller on each rig, by the machine of its design."""
+"""Draw the results of corrected_control: each controller on each rig, by the machine of its design."""
 
 from __future__ import annotations
 

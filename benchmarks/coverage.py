@@ -1,11 +1,11 @@
-"""Do the reported standard deviations hold? True parameters against their intervals, without the search for effects.
+"""Do the reported standard deviations hold? True parameters against their intervals, without a search.
 
     python -m benchmarks.coverage                          # 40 rigs, about 4 minutes on two cores
     python -m benchmarks.coverage --count 10 --seed 102 --rigs
 
-Random rigs (`tests.rigs.random_rigs`) with at most one effect are fitted from the declared machine and a disturbed
-start of the effect, in the steps that `identify` takes once the effect is named. The effect is given: the coverage of
-`benchmarks.random_rigs` also contains the errors of the search.
+Random rigs (`tests.rigs.random_rigs`) with at most one effect are fitted from the declared machine and a
+disturbed start of the effect, in the steps that `identify` takes once the effect is named. The effect is
+given: the coverage of `benchmarks.random_rigs` also contains the errors of the search.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Fitted(NamedTuple):
 
 
 def suitable(rig: RandomRig) -> bool:
-    """Return whether a rig has at most one effect, of the library, and no run of another machine (changed gain)."""
+    """Return whether a rig has at most one effect, of the library, and no run with a changed gain."""
     effects = rig.hidden_effects
     if rig.residue.bad_gain is not None:
         return False

@@ -1,12 +1,13 @@
-"""How many differentiated steps a second? Episodes forward and back against the simulation alone, on one core.
+"""How many differentiated steps a second? Episodes forward and back against simulation alone, on one core.
 
     python -m benchmarks.differentiable
 
-A step is a control period of 10 ms, 20 steps of the integrator, of one stage; a differentiated step is simulated and
-then differentiated with respect to state and voltages, or also to all parameters of the machine. Both run in turn, in
-one thread, on a batch of stages under random voltages. Seconds are processor time, which other programs affect little;
-a ratio is the median over the repetitions, and the spread gives their extremes. The errors are relative differences
-from central differences of the simulation, along random directions. Results are in results/differentiable.json.
+A step is a control period of 10 ms, 20 steps of the integrator, of one stage; a differentiated step is
+simulated and then differentiated with respect to state and voltages, or also to all parameters of the
+machine. Both run in turn, in one thread, on a batch of stages under random voltages. Seconds are processor
+time, which other programs affect little; a ratio is the median over the repetitions, and the spread gives
+their extremes. The errors are relative differences from central differences of the simulation, along random
+directions. Results are in results/differentiable.json.
 """
 
 from __future__ import annotations

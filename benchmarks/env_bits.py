@@ -2,10 +2,10 @@
 
     python -m benchmarks.env_bits [--steps 10000]
 
-Compared: the single environment, the native vector environment, the adapter for stable-baselines3, and new processes
-with 1, 2 and 3 threads. Each is summarized by one digest per environment: SHA-256 over all observations (before and
-after resets), rewards, sampled parameters, terminations and truncations (a truncation in the step of a termination does
-not count). The exit code is 1 if any digest differs.
+Compared: the single environment, the native vector environment, the adapter for stable-baselines3, and new
+processes with 1, 2 and 3 threads. Each is summarized by one digest per environment: SHA-256 over all
+observations (before and after resets), rewards, sampled parameters, terminations and truncations (a
+truncation in the step of a termination does not count). The exit code is 1 if any digest differs.
 """
 
 from __future__ import annotations

@@ -2,11 +2,11 @@
 
     python -m benchmarks.env_soak [--steps 1e9]
 
-After every control period all values must be finite and no tool may be further outside the workspace than its buffers
-allow; every ten periods the mechanical energy must be below what the drives can have supplied. The resident memory must
-not grow after the first report of each part. Besides the built-in machines with wide randomization, rigs drawn at
-random (`tests.rigs.random_rigs`) with their hidden effects take part. Partial results are written to
-results/env_soak.json while it runs.
+After every control period all values must be finite and no tool may be further outside the workspace than its
+buffers allow; every ten periods the mechanical energy must be below what the drives can have supplied. The
+resident memory must not grow after the first report of each part. Besides the built-in machines with wide
+randomization, rigs drawn at random (`tests.rigs.random_rigs`) with their hidden effects take part. Partial
+results are written to results/env_soak.json while it runs.
 """
 
 from __future__ import annotations
@@ -71,7 +71,8 @@ class Energy:
         self.simulator = envs.batch.simulator
         machine = self.simulator.machine
         names = list(machine.parameters)
-        # A structural effect adds coordinates and belts whose masses and lengths follow from its parameters: left out.
+        # A structural effect adds coordinates and belts whose masses and lengths follow from its parameters:
+        # left out.
         bodies = [(i, c) for i, c in enumerate(machine.coordinates) if f"{c.name}.mass" in names]
         self.coordinates = len(machine.coordinates)
         self.bodies = [
@@ -108,7 +109,7 @@ class Energy:
 
 
 def bound(envs: HFrameVectorEnv) -> float:
-    """Return an upper bound of a stage's energy, J: all masses at no-load speed, belts at twice the stall force."""
+    """Return an upper bound of a stage's energy, J: masses at no-load speed, belts at double stall force."""
     machine, sampler = envs.batch.machine, envs.batch.sampler
     upper = dict(zip(sampler.space.names, sampler.high.tolist(), strict=True))
     lower = dict(zip(sampler.space.names, sampler.low.tolist(), strict=True))
@@ -134,7 +135,7 @@ def bound(envs: HFrameVectorEnv) -> float:
 
 
 def soak(name: str, options: dict[str, Any], steps: int, console: Console, content: dict[str, Any]) -> None:
-    """Run environments with options, check them, and write extremes and counts under a name to the content."""
+    """Run environments with options, check them, and write extremes and counts to the content, by name."""
     envs = HFrameVectorEnv(ENVS, max_episode_steps=150, **options)
     envs.reset(seed=SEED)
     energy, energy_bound = Energy(envs), bound(envs)

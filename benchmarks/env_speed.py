@@ -1,10 +1,11 @@
-"""How fast is the environment? Its steps against EnvPool's and Gymnasium's Pendulum-v1 and its bare kernel; its resets.
+"""How fast is the environment? Steps against EnvPool's and Gymnasium's Pendulum-v1, bare kernel, resets.
 
     python -m benchmarks.env_speed
 
-All compared programs run in this process, in turn, with random actions that are drawn before the clock starts. A ratio
-is the median over the repetitions; the spread gives their extremes. The kernel's fraction of a step is given in
-processor time, which other programs do not affect, and in wall time. Seed and versions are in results/env_speed.json.
+All compared programs run in this process, in turn, with random actions that are drawn before the clock
+starts. A ratio is the median over the repetitions; the spread gives their extremes. The kernel's fraction of
+a step is given in processor time, which other programs do not affect, and in wall time. Seed and versions are
+in results/env_speed.json.
 """
 
 from __future__ import annotations
@@ -75,7 +76,8 @@ class Vector:
     def beside_kernel(self) -> dict[str, tuple[float, float]]:
         """Measure an episode's steps, and the bare kernel on the same states and voltages, step by step.
 
-        The bare kernel is that of the machine without end stops, with one call of `advance_blocks` per thread.
+        The bare kernel is that of the machine without end stops, with one call of `advance_blocks` per
+        thread.
 
         Returns:
             Seconds of the steps and of the kernel, by clock: "processor" (time of all threads) and "wall".
@@ -116,7 +118,7 @@ class Vector:
 
 
 def envpool_rate() -> Callable[[], float]:
-    """Return a function that measures EnvPool's Pendulum-v1 with as many environments and threads, steps per second."""
+    """Return a function that measures EnvPool's Pendulum-v1, as many environments and threads, steps/s."""
     import envpool
 
     with warnings.catch_warnings():
@@ -166,7 +168,7 @@ def single_rate(name: str, size: int, steps: int = 3000) -> Callable[[], float]:
 
 
 def resets(count: int) -> dict[str, float]:
-    """Measure resets among `count` environments, us: one; one with the observation of all; all, per environment."""
+    """Measure resets among `count` environments, us: one; one with all observations; all, each."""
     envs = HFrameVectorEnv(count, randomize="default", autoreset_mode="Disabled")
     envs.reset(seed=SEED)
     one = np.array([count // 2])

@@ -2,8 +2,9 @@
 
     python -m benchmarks.first_step [--repeats 3]
 
-Each measurement is a new process. The empty cache is an empty folder for the machine code of this package and of Numba.
-Processor time is that of the process, all threads included; other load on the machine makes it longer.
+Each measurement is a new process. The empty cache is an empty folder for the machine code of this package and
+of Numba. Processor time is that of the process, all threads included; other load on the machine makes it
+longer.
 """
 
 from __future__ import annotations

@@ -1,11 +1,12 @@
 """Do proposed formulas replace the tables of forces and frictions that the library does not know?
 
-python -m benchmarks.formulas            # identify every rig, propose formulas, fit them in place of the tables
+python -m benchmarks.formulas            # identify every rig, propose formulas, fit them in place of the
+                                         tables
 python -m benchmarks.formulas NAME ...   # some rigs only
 
-Each rig hides a force or a friction against one variable, which the library of effects lacks, in the independent
-simulator. Identification is restricted to tables (`max_effects=0`); `benchmarks.identification` measures the search for
-effects of the library. Formula and table are compared on the held-out runs.
+Each rig hides a force or a friction against one variable, which the library of effects lacks, in the
+independent simulator. Identification is restricted to tables (`max_effects=0`); `benchmarks.identification`
+measures the search for effects of the library. Formula and table are compared on the held-out runs.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ WITHIN = 1.2  # acceptance: error of the formula over that of the table
 
 
 def _kinds() -> dict[str, tuple[str, Build]]:
-    """Return the hidden force or friction of each rig by name: the label of the right table, and the build."""
+    """Return the hidden force or friction of each rig by name: label of the right table, and the build."""
     x, y = (partial(change_site, sites=COORDINATES, site=site) for site in "xy")
     period = 2 * np.pi / 0.2  # rad/m
     return {
@@ -74,8 +75,8 @@ def measure(session: Session) -> dict[str, Any]:
         session: Recorded rig.
 
     Returns:
-        The right table and the identified ones, their mean error on the held-out runs in units of the noise, and the
-        recommended formula with its error; times, s.
+        The right table and the identified ones, their mean error on the held-out runs in units of the noise,
+        and the recommended formula with its error; times, s.
     """
     began = time.perf_counter()
     result = identify(

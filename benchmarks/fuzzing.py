@@ -1,12 +1,13 @@
-"""Does any damaged file make a command fail otherwise than by one line, hang, execute code or fill the memory?
+"""Does any damaged file make a command fail with more than one line, hang, execute code or fill the memory?
 
     python -m benchmarks.fuzzing [--count 5000] [--seed 0] [--reader NAME ...] [--save FOLDER]
 
-Every reader of files gets mutations of valid files (tests/bad_inputs/readers.py), each in a new folder, by the command
-that reads it. `--reader options` gives valid files and options of any value instead. A case fails if the command ends
-with a traceback, more than one line, another exit code than 0 or 2, leaves files although it refused, executes what a
-file says, or takes more than 30 s of processor time (or ten minutes on the clock). `--save` keeps the failing cases.
-The readers run one after the other, each in its process, whose peak memory is measured.
+Every reader of files gets mutations of valid files (tests/bad_inputs/readers.py), each in a new folder, by
+the command that reads it. `--reader options` gives valid files and options of any value instead. A case fails
+if the command ends with a traceback, more than one line, another exit code than 0 or 2, leaves files although
+it refused, executes what a file says, or takes more than 30 s of processor time (or ten minutes on the
+clock). `--save` keeps the failing cases. The readers run one after the other, each in its process, whose peak
+memory is measured.
 """
 
 from __future__ import annotations

@@ -2,9 +2,10 @@
 
     python -m benchmarks.hand_over [--draws 96]
 
-Moves on the machines of `python -m benchmarks.model_error --machines`, observed exactly. Until the tool comes within a
-distance of its goal, `ppo_mix`, seed 0, commands it, from there on `pid`; both have the declared model, or both that of
-the machine. At 0 mm all of the move is that of `ppo_mix`. Results go to results/hand_over.json.
+Moves on the machines of `python -m benchmarks.model_error --machines`, observed exactly. Until the tool comes
+within a distance of its goal, `ppo_mix`, seed 0, commands it, from there on `pid`; both have the declared
+model, or both that of the machine. At 0 mm all of the move is that of `ppo_mix`. Results go to
+results/hand_over.json.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ NEAR_M = 5e-3  # distance to the goal from which on the braking is over
 
 
 class HandOver(Controller):
-    """Two controllers, of which the second takes over for good once the tool is within a distance of its goal.
+    """Two controllers, of which the second takes over for good once the tool is near its goal.
 
     Args:
         first: Controller far from the goal.

@@ -26,10 +26,10 @@ AT_START_S = 2e-4  # s after the start of the period, within which the entry cou
 class HeldVoltageReach:
     """Solver of the time-optimal control problem with voltages that are held over control periods.
 
-    It gives the shortest settling time of a controller that changes its voltages at the start of each control period.
-    The problem of `TimeOptimalReach` is solved with the last entry into the band in control period K, that is, with T
-    between K - 1 and K periods. K starts where the motion ends whose voltages may change at any time, and grows until
-    there is a solution.
+    It gives the shortest settling time of a controller that changes its voltages at the start of each control
+    period. The problem of `TimeOptimalReach` is solved with the last entry into the band in control period K,
+    that is, with T between K - 1 and K periods. K starts where the motion ends whose voltages may change at
+    any time, and grows until there is a solution.
 
     Args:
         machine: Machine whose motion is optimized, with its effects, which must have no memory.
@@ -48,18 +48,20 @@ class HeldVoltageReach:
     def solve(
         self, start: ArrayLike, goal: ArrayLike, parameters: ArrayLike | None, free_s: float
     ) -> TimeOptimalMotion:
-        """Compute the time-optimal motion into the band around the goal, with voltages held over each control period.
+        """Compute the time-optimal motion into the band around the goal, with voltages held over each period.
 
         Args:
             start: Tool position at the start, m, shape (axes,).
             goal: Tool position of the goal, m, shape (axes,).
-            parameters: All parameters in the order of `Machine.parameters`, SI, shape (P,), or None for the machine's.
-            free_s: Duration of the time-optimal motion whose voltages may change at any time, s, as computed by
-                `TimeOptimalReach`. The search starts in the control period in which this motion ends.
+            parameters: All parameters in the order of `Machine.parameters`, SI, shape (P,), or None for the
+                machine's.
+            free_s: Duration of the time-optimal motion whose voltages may change at any time, s, as computed
+                by `TimeOptimalReach`. The search starts in the control period in which this motion ends.
 
         Returns:
-            Duration, s, and commanded voltages, V, shape (intervals, drives), for the intervals between `edges_s`. The
-            attribute `solved` is False if no motion is found that ends in the period of `free_s` or in the next three.
+            Duration, s, and commanded voltages, V, shape (intervals, drives), for the intervals between
+            `edges_s`. The attribute `solved` is False if no motion is found that ends in the period of
+            `free_s` or in the next three.
         """
         first = max(1, int(np.ceil(free_s / self.period)))
         for last in range(first, first + LATEST_PERIODS):
@@ -85,7 +87,7 @@ class HeldVoltageReach:
 
 
 class _HeldProblem(TimeOptimalReach):
-    """Time-optimal control problem with held voltages and a last entry into the band in a given control period."""
+    """Time-optimal control problem with held voltages and a last entry into the band in a given period."""
 
     def __init__(self, machine: Machine, last: int, period: float, band: float) -> None:
         self._last, self._period = last, period
@@ -101,7 +103,7 @@ class _HeldProblem(TimeOptimalReach):
 
     @override
     def _grid(self, duration: Any) -> list[tuple[Any, Any]]:
-        """Return begin and length of the intervals, s: equal parts of each period, two times those in the last one."""
+        """Return begin and length of intervals, s: equal parts of each period, twice as many in the last."""
         period, entry = self._period, self._last - 1
         parts = [(k * period, period) for k in range(entry)] + [(entry * period, duration - entry * period)]
         parts += [(duration, self._last * period - duration)]
@@ -115,7 +117,7 @@ class _HeldProblem(TimeOptimalReach):
 
     @override
     def _guess(self, start: Array, goal: Array, time_s: float) -> Array:
-        """Return an initial guess with T in the middle of its period, which `time_s` therefore does not change."""
+        """Return an initial guess with T in the middle of its period, which `time_s` thus does not change."""
         if self.warm_start is not None:
             return self.warm_start
         guess = super()._guess(start, goal, self._window[1])

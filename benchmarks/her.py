@@ -1,10 +1,10 @@
-"""Can an agent learn from the sparse reward? SAC with hindsight on `reach`; the reward is 0 within 5 mm, otherwise -1.
+"""Can an agent learn from the sparse reward? SAC with hindsight on `reach`, reward 0 within 5 mm, else -1.
 
     python -m benchmarks.her [--seeds 3]
 
-The agents are trained by the recipe sac_her_reach and evaluated on episodes that no training used: the fraction of the
-episodes that end within 5 mm and stay there. The requirement is 90 %. Settings, seeds and versions are in
-results/her.json.
+The agents are trained by the recipe sac_her_reach and evaluated on episodes that no training used: the
+fraction of the episodes that end within 5 mm and stay there. The requirement is 90 %. Settings, seeds and
+versions are in results/her.json.
 """
 
 from __future__ import annotations

@@ -3,13 +3,13 @@
     python -m benchmarks.hyperparameters --trials 24 [--steps 300000]
     python -m benchmarks.hyperparameters --trials 24 --batch 8 --jobs 2    # or --ray [ADDRESS]
 
-A trial trains by the recipe ppo_reach with other settings: learning rate, discount, batches, epochs, noise of the
-exploration (also gSDE, which depends on the state), and what the policy knows: the integral of the error, estimates of
-the parameters, voltages of feedback laws that it weights. The objective is the cost by which a training run
-chooses the agent to keep (`episode_costs`), on the 256 episodes of the learning curves. The seed of the trials is not
-reported elsewhere. A short training shows what learns fast, not what ends best, so the result is used only where
-complete trainings confirm it. The trials of a batch are drawn before any of them is trained: the study depends on the
-size of a batch, not on the number of workers.
+A trial trains by the recipe ppo_reach with other settings: learning rate, discount, batches, epochs, noise of
+the exploration (also gSDE, which depends on the state), and what the policy knows: the integral of the error,
+estimates of the parameters, voltages of feedback laws that it weights. The objective is the cost by which a
+training run chooses the agent to keep (`episode_costs`), on the 256 episodes of the learning curves. The seed
+of the trials is not reported elsewhere. A short training shows what learns fast, not what ends best, so the
+result is used only where complete trainings confirm it. The trials of a batch are drawn before any of them is
+trained: the study depends on the size of a batch, not on the number of workers.
 """
 
 from __future__ import annotations

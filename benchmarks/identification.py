@@ -1,14 +1,15 @@
-"""Does identification name the hidden effects of a rig, and nothing else? On rigs of the independent simulator.
+"""Does identification name a rig's hidden effects, and nothing else? On rigs of the independent simulator.
 
-    python -m benchmarks.identification                       # the shipped examples and all rigs (an hour or two)
+    python -m benchmarks.identification                       # the shipped examples and all rigs: 1 to 2 h
     python -m benchmarks.identification examples none pairs   # some sets
     python -m benchmarks.identification library-full --only 'cogging@motor1 full' --only ...
     python -m benchmarks.identification plots                 # the overview and the figures from the results
 
-Sets: examples, library-full, library-small, pairs, triples, four-runs, order20, none, outside; all: all but examples.
-`tests.rigs.cases` lists what each rig hides (its seed is its name) and `benchmarks.scoring` defines the scores. Errors
-are those of open-loop simulations of held-out recordings. Results are cached in out/identification as long as the
-package's source is the same (with --resume: always), so that an interrupted run continues. Versions are in the results.
+Sets: examples, library-full, library-small, pairs, triples, four-runs, order20, none, outside; all: all but
+examples. `tests.rigs.cases` lists what each rig hides (its seed is its name) and `benchmarks.scoring` defines
+the scores. Errors are those of open-loop simulations of held-out recordings. Results are cached in
+out/identification as long as the package's source is the same (with --resume: always), so that an interrupted
+run continues. Versions are in the results.
 """
 
 from __future__ import annotations
@@ -162,7 +163,7 @@ def write(rows: list[Row]) -> None:
 
 
 def overview() -> None:
-    """Write results/identification.json and docs/figures/identification_*.png from the results of all sets."""
+    """Write results/identification.json and docs/figures/identification_*.png from all sets' results."""
     from benchmarks.identification_plots import draw  # matplotlib, which only this needs
 
     groups = dict.fromkeys(case.group for case in cases().values())

@@ -4,9 +4,10 @@
     python -m benchmarks.judgments thresholds     # which judgments change if a threshold is halved or doubled
     python -m benchmarks.judgments again          # which ones change by the present rules
 
-The rules of `hframe_gym.identification.judge` are functions of evidence; a record of their arguments suffices to call
-them again. A number that no rule asked for is missing in it, and a judgment that asks for it is unknown. A record shows
-the next judgment, not the path that the search would take from there: where one changes, identify again.
+The rules of `hframe_gym.identification.judge` are functions of evidence; a record of their arguments suffices
+to call them again. A number that no rule asked for is missing in it, and a judgment that asks for it is
+unknown. A record shows the next judgment, not the path that the search would take from there: where one
+changes, identify again.
 """
 
 from __future__ import annotations
@@ -88,7 +89,7 @@ class Number:
 
 
 class Numbers:
-    """Numbers of an evidence record that are computed one after the other while a rule asks for them, and kept.
+    """Numbers of an evidence record, computed one after the other while a rule asks for them, and kept.
 
     Args:
         compute: Iterator that computes them.
@@ -122,7 +123,7 @@ class Numbers:
 
 
 class Limit(float):
-    """Limit that a rule returned and another one receives; `judgment` and `added` say how to compute it again."""
+    """Limit that a rule returned and another receives; `judgment` and `added` say how to compute it again."""
 
     judgment: Judgment
     added: float
@@ -242,7 +243,7 @@ class NamedRig(NamedTuple):
 
 
 def named_rig(name: str) -> NamedRig:
-    """Return the rig of a name: example:FOLDER, other:NUMBER, closed:NUMBER, random:SEED:INDEX, outside:SEED:INDEX.
+    """Return the rig of example:FOLDER, other:NUMBER, closed:NUMBER, random:SEED:INDEX or outside:SEED:INDEX.
 
     Args:
         name: Set and number of the rig, separated by colons.
@@ -292,12 +293,13 @@ class Record:
     judgments: list[Judgment]
 
 
-# Numbers about an effect that are computed for the record if no rule asked for them. The others need further fits.
+# Numbers about an effect that are computed for the record if no rule asked for them. The others need further
+# fits.
 _COMPLETED = ("confirmed", "fault", "chance", "forces", "drives", "additions")
 
 
 def record(name: str) -> Record:
-    """Identify a rig and return its judgments, with the numbers about each effect that no rule asked for as well.
+    """Identify a rig and return its judgments, with the numbers of effects for which no rule asked as well.
 
     Args:
         name: Name of the rig (`named_rig`).
@@ -418,7 +420,7 @@ def changed(threshold: Threshold, factor: float) -> Iterator[dict[str, float]]:
 
 
 def decided(result: Any) -> Any:
-    """Return what is decided: of a verdict with a reason the verdict, of a doubt in words whether there is one."""
+    """Return what is decided: of a verdict with a reason the verdict, of a doubt whether there is one."""
     if isinstance(result, tuple) and result and isinstance(result[0], tuple | str):
         return result[0]
     is_doubt = isinstance(result, str) and (" " in result or not result)
@@ -428,7 +430,7 @@ def decided(result: Any) -> Any:
 def changed_judgments(
     records: Iterable[Record], changes: dict[str, float]
 ) -> Iterator[tuple[Record, Judgment, Any]]:
-    """Yield the judgments that the present rules decide in another way than the recorded ones, with the new result.
+    """Yield judgments that the present rules decide otherwise than the recorded ones, with the new result.
 
     The new result is `UnknownEvidenceError` if a rule asks for a number that was not recorded.
 

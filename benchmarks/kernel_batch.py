@@ -70,8 +70,8 @@ class KernelBatch:
     def advance(self, first: int, last: int) -> None:
         """Advance some blocks through their history.
 
-        As in MuJoCo's rollout, a chunk of stages goes through its complete history before the next, so that it stays in
-        the cache.
+        As in MuJoCo's rollout, a chunk of stages goes through its complete history before the next, so that
+        it stays in the cache.
 
         Args:
             first: First block.

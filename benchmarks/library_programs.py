@@ -1,12 +1,14 @@
-"""How precise are the programs of docs/with_your_library.md, after how many steps and how much processor time?
+"""How precise are the programs of docs/with_your_library.md, after how many steps and what processor time?
 
-    python -m benchmarks.library_programs ["CleanRL style" ...] [--steps 25000 50000 ...] [--seeds 0 1] [--repeat]
+    python -m benchmarks.library_programs ["CleanRL style" ...] [--steps 25000 50000 ...] [--seeds 0 1]
+                                          [--repeat]
 
-It executes the page's own code: the first program of each section, in a process of its own, with other values of its
-constant STEPS. Every number of steps is a training from the start, so the curve shows what a program of that length
-reaches. Its policy then drives 256 episodes without noise; the error is the distance to the goal at their end. Programs
-whose library is not installed are left out. Runs that results/library_programs.json holds are not repeated; the results
-are written, and docs/figures/library_programs.png is drawn, after each run.
+It executes the page's own code: the first program of each section, in a process of its own, with other values
+of its constant STEPS. Every number of steps is a training from the start, so the curve shows what a program
+of that length reaches. Its policy then drives 256 episodes without noise; the error is the distance to the
+goal at their end. Programs whose library is not installed are left out. Runs that
+results/library_programs.json holds are not repeated; the results are written, and
+docs/figures/library_programs.png is drawn, after each run.
 """
 
 from __future__ import annotations
@@ -221,7 +223,7 @@ def run_apart(section: str, steps: int, seed: int) -> dict[str, Any]:
 
 
 def draw(programs: dict[str, Any]) -> None:
-    """Draw the median error, mm, against the processor time, s: the median over the seeds, and each run as a point."""
+    """Draw the median error, mm, against the processor time, s: median over the seeds, and runs as points."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -2,10 +2,11 @@
 
     python -m benchmarks.long_log [--rows 3000000] [--machine axis]
 
-Simulates a session of moves of 8 s with rests of 2 s between them at 1 kHz, with noise, and writes it as one CSV file.
-It is written once more as a spreadsheet would: UTF-16, semicolons, decimal commas, millimeters, and a position in every
-fifth row only. `hframe check` and `hframe import` run in processes of their own; their wall time, processor time and
-largest resident memory are in results/long_log.json. The requirement is 2 GB and 60 s of wall time.
+Simulates a session of moves of 8 s with rests of 2 s between them at 1 kHz, with noise, and writes it as one
+CSV file. It is written once more as a spreadsheet would: UTF-16, semicolons, decimal commas, millimeters, and
+a position in every fifth row only. `hframe check` and `hframe import` run in processes of their own; their
+wall time, processor time and largest resident memory are in results/long_log.json. The requirement is 2 GB
+and 60 s of wall time.
 """
 
 from __future__ import annotations
@@ -53,7 +54,8 @@ def simulate_session(machine: Machine, rows: int) -> tuple[Array, Array, Array]:
         rows: Number of samples.
 
     Returns:
-        Times, s, shape (rows,), voltages, V, shape (rows, drives), and measurements, m or rad, shape (rows, sensors).
+        Times, s, shape (rows,), voltages, V, shape (rows, drives), and measurements, m or rad,
+        shape (rows, sensors).
     """
     generator = np.random.default_rng(SEED)
     time_s = np.round(np.arange(rows) * PERIOD, 3)

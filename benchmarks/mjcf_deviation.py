@@ -1,8 +1,8 @@
 """How far is an exported MuJoCo model (`hframe export mjcf`) from the simulator of this package?
 
-The H-frame and the CoreXY stage follow random voltages for one second from rest, in MuJoCo and in the simulator. The
-first comparison leaves out the change of belt stiffness with the position, which MJCF cannot describe, and dry
-friction; the second one has dry friction, and the last one is against the complete machine.
+The H-frame and the CoreXY stage follow random voltages for one second from rest, in MuJoCo and in the
+simulator. The first comparison leaves out the change of belt stiffness with the position, which MJCF cannot
+describe, and dry friction; the second one has dry friction, and the last one is against the complete machine.
 
     python -m benchmarks.mjcf_deviation
 """
@@ -31,7 +31,7 @@ SETTINGS = (
 
 
 def voltages(machine: Machine, run: int) -> tuple[Array, Array]:
-    """Return times, s, shape (n,), and random voltages, V, to a quarter of the rated ones, shape (n, drives)."""
+    """Return times, s, shape (n,), and random voltages, V, to a quarter of rated, shape (n, drives)."""
     count, rows = round(SECONDS / SAMPLE) + 1, round(HOLD / SAMPLE)
     rated = np.array([d.rated_voltage for d in machine.drives])
     levels = np.random.default_rng([SEED, run]).uniform(-0.25, 0.25, (count // rows + 1, len(rated))) * rated

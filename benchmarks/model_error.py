@@ -1,21 +1,23 @@
-"""How much does a controller or an agent gain from an exact model? Moves on machines that differ from it more and more.
+"""How much does a controller or an agent gain from an exact model? Moves on more and more different machines.
 
     python -m benchmarks.model_error [--draws 128] [--only NAME ...] [--train | --machines]
 
-The model is the declared machine of gap-v1. The simulated machine is this machine itself (`exact`), one with other
-parameters (`parameters`, the randomization "default"), or one that also has two undeclared effects on average
-(`effects`, those of hard-v1). The true state is observed, so that no state estimator takes part. The draws are the same
-for all, and no agent was selected on them.
+The model is the declared machine of gap-v1. The simulated machine is this machine itself (`exact`), one with
+other parameters (`parameters`, the randomization "default"), or one that also has two undeclared effects on
+average (`effects`, those of hard-v1). The true state is observed, so that no state estimator takes part. The
+draws are the same for all, and no agent was selected on them.
 
-`--train` also trains the recipe `ppo_mix` on machines that hardly differ from the model, as identification leaves them
-(`NEARLY_EXACT`), a minute of processor time: does PPO use an exact model if it meets no other? The trained agent is
-kept in out/model_error.
+`--train` also trains the recipe `ppo_mix` on machines that hardly differ from the model, as identification
+leaves them (`NEARLY_EXACT`), a minute of processor time: does PPO use an exact model if it meets no other?
+The trained agent is kept in out/model_error.
 
-In these conditions an exact model is that of the agents' training. An identified machine is another one. `--machines`
-therefore compares the declared model with an exact one on machines with the parameters of plants of gap-v1, of another
-seed than the published ones and without effects, sensors, estimators or errors of identification.
+In these conditions an exact model is that of the agents' training. An identified machine is another one.
+`--machines` therefore compares the declared model with an exact one on machines with the parameters of plants
+of gap-v1, of another seed than the published ones and without effects, sensors, estimators or errors of
+identification.
 
-Results are added to results/model_error.json or model_error_machines.json, which keep rows that are not run again.
+Results are added to results/model_error.json or model_error_machines.json, which keep rows that are not run
+again.
 """
 
 from __future__ import annotations
@@ -54,7 +56,8 @@ NEARLY_EXACT = [
     {"parameter": "*.mass", "distribution": ["normal", 1.0, 0.03]},
 ]
 TRAINING_STEPS = 500_000
-# Plants without undeclared effects, whose parameters differ from the declared ones by 5 to 20 %; every fourth has none.
+# Plants without undeclared effects, whose parameters differ from the declared ones by 5 to 20 %; every fourth
+# has none.
 MACHINES_SEED, MACHINES = 52_000, range(0, 24, 4)
 
 
@@ -84,7 +87,7 @@ def controller(name: str, model: Machine) -> Controller:
 
 
 def trained_agent() -> Path:
-    """Return the folder of the agent that is trained on nearly exact machines; train it if it is not there yet."""
+    """Return the folder of the agent that is trained on nearly exact machines; train it if there is none."""
     folder = ROOT / "out" / NAME / "ppo_mix"
     if not (folder / "done").is_file():
         recipe = load_recipe("ppo_mix", "reach")
@@ -97,7 +100,7 @@ def trained_agent() -> Path:
 
 
 def settling_s(name: str, model: Machine, settings: Scenario) -> Array:
-    """Return the times until the tool stays within 0.2 mm, s, shape (draws,); a move that never does counts 1.5 s."""
+    """Return the times until the tool stays within 0.2 mm, s, shape (draws,); 1.5 s if it never does."""
     episodes = rollout(controller(name, model), settings)
     return settling_times(episodes.goal_error, episodes.time_s, BAND_M)[0]
 
@@ -106,8 +109,8 @@ def row(name: str, draws: int) -> dict[str, Any]:
     """Score a controller or an agent.
 
     Returns:
-        By condition the mean settling time, s, with its 95 % interval; "gain": by which fraction an exact model is
-        faster than one that lacks parameters and effects, with its interval, paired by draw.
+        By condition the mean settling time, s, with its 95 % interval; "gain": by which fraction an exact
+        model is faster than one that lacks parameters and effects, with its interval, paired by draw.
     """
     times = {
         condition: settling_s(name, declared_machine(), scenario(condition, draws))
@@ -125,9 +128,10 @@ def row_of_machines(name: str, draws: int) -> dict[str, Any]:
         draws: Number of moves on each machine.
 
     Returns:
-        Of the "declared" and the "exact" model, the mean settling time, s, with its 95 % interval over the machines.
-        "gain": mean over the machines of the fraction by which the exact model is faster; "median_gain": the same of
-        the medians over the moves. "failed": number of moves that do not settle, with each model.
+        Of the "declared" and the "exact" model, the mean settling time, s, with its 95 % interval over the
+        machines. "gain": mean over the machines of the fraction by which the exact model is faster;
+        "median_gain": the same of the medians over the moves. "failed": number of moves that do not settle,
+        with each model.
     """
     times: dict[str, list[Array]] = {"declared": [], "exact": []}
     for index in MACHINES:

@@ -1,7 +1,7 @@
 """Simulate the stage in MuJoCo as a careful user would, for comparison with the kernel.
 
-The model is that of `hframe export mjcf` without names, geometries and sensors, which would cost time: four joints,
-three fixed tendons as belts of constant stiffness, `frictionloss` as Coulomb friction.
+The model is that of `hframe export mjcf` without names, geometries and sensors, which would cost time: four
+joints, three fixed tendons as belts of constant stiffness, `frictionloss` as Coulomb friction.
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ class MujocoStage:
             controls: Voltages, V, shape (batch, steps, 2).
 
         Returns:
-            States after every step, shape (batch, steps, size); columns 1 to 4 are positions, 5 to 8 velocities. The
-            next call reuses the array.
+            States after every step, shape (batch, steps, size); columns 1 to 4 are positions, 5 to 8
+            velocities. The next call reuses the array.
         """
         shape = (*controls.shape[:2], self.size)
         if self._states.shape != shape:

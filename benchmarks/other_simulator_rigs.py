@@ -3,8 +3,8 @@
     python -m benchmarks.other_simulator_rigs                       # all fourteen
     python -m benchmarks.other_simulator_rigs --only 1 7 --log      # some of them; nothing is written
 
-benchmarks/data/other_simulator/README.md describes the rigs. `TRUTH` translates what they hide to the library's names.
-Results are cached in out/other_simulator_rigs as those of benchmarks.random_rigs are.
+benchmarks/data/other_simulator/README.md describes the rigs. `TRUTH` translates what they hide to the
+library's names. Results are cached in out/other_simulator_rigs as those of benchmarks.random_rigs are.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def _unchanged(rig: Any, sensors: Any) -> Any:
 
 
 def hidden(label: str, *accepted: str, absorbed: bool = False) -> DrawnEffect:
-    """Return a hidden effect; `accepted` labels identify one that the library lacks, besides `unexplained`."""
+    """Return a hidden effect; `accepted` labels identify one outside the library, besides `unexplained`."""
     name, site = label.split("@")
     outside = (*accepted, "") if accepted else ()
     return DrawnEffect(name, site, 1.0, _unchanged, {}, {}, accepted=outside, absorbed=absorbed)

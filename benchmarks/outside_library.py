@@ -1,18 +1,19 @@
-"""What does identification say about machines with an effect that the library lacks? False names, errors left, hints.
+"""What does identification say of machines with effects outside the library? False names, errors, hints.
 
     python -m benchmarks.outside_library --seed 1 --only 3 7 --log   # some rigs; nothing is written
     python -m benchmarks.outside_library --seed 1                    # all twenty
 
-The rigs come from `tests.rigs.outside_rigs` and an independent simulator: every family that the library lacks, half of
-the rigs recorded in open loop and half under a position controller. Seed 1 is for development. No effect of the library
-is right here:
+The rigs come from `tests.rigs.outside_rigs` and an independent simulator: every family that the library
+lacks, half of the rigs recorded in open loop and half under a position controller. Seed 1 is for development.
+No effect of the library is right here:
 
-- A name is **false** if it is not a neighbor in kind of what the rig hides (same component, and same variable or
-  mechanism: `OutsideEffect.neighbors`), or if the machine with it leaves most of the error, which any name would hide:
-  more than 10 times the noise on unseen runs and more than 10 % of what the refitted machine leaves beyond the noise.
+- A name is **false** if it is not a neighbor in kind of what the rig hides (same component, and same variable
+  or mechanism: `OutsideEffect.neighbors`), or if the machine with it leaves most of the error, which any name
+  would hide: more than 10 times the noise on unseen runs and more than 10 % of what the refitted machine
+  leaves beyond the noise.
 - `no_effect` is false above twice the noise on unseen runs.
-- The **hint** is the first entry of `residual.depends_on` in report.json, or `hint` where the report has one; a
-  neighbor that is named and not false is a hint as well. Its component and its variable are scored.
+- The **hint** is the first entry of `residual.depends_on` in report.json, or `hint` where the report has one;
+  a neighbor that is named and not false is a hint as well. Its component and its variable are scored.
 
 Results of single rigs are cached in out/outside_library as those of benchmarks.random_rigs are.
 """

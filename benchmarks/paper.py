@@ -1,10 +1,10 @@
-"""Do the models agree with the paper? Every statement of its text beside the models, and its figures computed anew.
+"""Do the models agree with the paper? Every statement of its text beside the models, and its figures anew.
 
     python -m benchmarks.paper
 
-Sollmann, Jouaneh and Lavender print parameters and describe their figures; the measured curves are not in the text. The
-table compares the statements with the models. docs/figures/ contains our versions of Figures 4 to 7 and 10. There is no
-randomness; versions are in results/paper.json.
+Sollmann, Jouaneh and Lavender print parameters and describe their figures; the measured curves are not in the
+text. The table compares the statements with the models. docs/figures/ contains our versions of Figures 4 to 7
+and 10. There is no randomness; versions are in results/paper.json.
 """
 
 from __future__ import annotations

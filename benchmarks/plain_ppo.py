@@ -1,12 +1,13 @@
-"""Does PPO of stable-baselines3 learn with its default hyperparameters? The goal: a median error of 1 mm in 60 s.
+"""Does PPO of stable-baselines3 learn with its default hyperparameters? Goal: a median of 1 mm in 60 s.
 
     python -m benchmarks.plain_ppo [--seeds 3] [--seconds 60] [--envs 4] [--learning-rate 1e-3] [--gamma 0.95]
 
-The environment is `HFrame-v0` with `normalize=True` and nothing else, without randomization. Time is the processor time
-of the training, which other programs on the machine hardly affect, without that of the evaluations. After every second
-rollout the deterministic policy is evaluated on 256 episodes that no training used: the distance to the goal at their
-end. Hyperparameters that are not given as options keep the default of stable-baselines3. Settings, seeds and versions
-are in results/plain_ppo.json; `--reward dense` and the like show what the environment's defaults contribute.
+The environment is `HFrame-v0` with `normalize=True` and nothing else, without randomization. Time is the
+processor time of the training, which other programs on the machine hardly affect, without that of the
+evaluations. After every second rollout the deterministic policy is evaluated on 256 episodes that no training
+used: the distance to the goal at their end. Hyperparameters that are not given as options keep the default of
+stable-baselines3. Settings, seeds and versions are in results/plain_ppo.json; `--reward dense` and the like
+show what the environment's defaults contribute.
 """
 
 from __future__ import annotations

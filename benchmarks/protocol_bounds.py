@@ -1,11 +1,12 @@
-"""Which settling times does physics allow in the moves of a protocol? With free voltages, and held over 10 ms.
+"""Which settling times does physics allow in a protocol's moves? With free and 10 ms held voltages.
 
     python -m benchmarks.protocol_bounds reach-v1 --draws 128
     python -m benchmarks.protocol_bounds hard-v1 --draws 128
 
-The bounds are stored in the package (hframe_gym/evaluation/bound_times_data/PROTOCOL.json), a few draws at a time;
-stored ones are not computed again. Draws are taken in order from the first one, whatever their bounds. A draw with an
-effect that the optimization does not support (docs/bound.md) has no bound, and the file says why.
+The bounds are stored in the package (hframe_gym/evaluation/bound_times_data/PROTOCOL.json), a few draws at a
+time; stored ones are not computed again. Draws are taken in order from the first one, whatever their bounds.
+A draw with an effect that the optimization does not support (docs/bound.md) has no bound, and the file says
+why.
 """
 
 from __future__ import annotations

@@ -3,11 +3,11 @@
     python -m benchmarks.public_axes                          # all whose recordings are there
     python -m benchmarks.public_axes --only odrive --log      # some of them; nothing is written
 
-The recordings are those of $HFRAME_DATA/public_axes, a folder with ``runs`` for each set; for a set without them, the
-benchmark says how to get and convert its logs. The machine file is that of a newcomer, in the folder or in
-``benchmarks/machines``. The error to beat is that of an inverse-dynamics fit, refined as an output-error fit of
-inertia, viscous and dry friction and an offset, computed without this package on the same held-out runs. No licenses
-permit shipping the recordings.
+The recordings are those of $HFRAME_DATA/public_axes, a folder with ``runs`` for each set; for a set without
+them, the benchmark says how to get and convert its logs. The machine file is that of a newcomer, in the
+folder or in ``benchmarks/machines``. The error to beat is that of an inverse-dynamics fit, refined as an
+output-error fit of inertia, viscous and dry friction and an offset, computed without this package on the same
+held-out runs. No licenses permit shipping the recordings.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ class PublicSet(NamedTuple):
         source: Where it was published.
         held_out: Runs to evaluate on; empty for the default.
         plain_error: Error of the fit to beat on these runs, in the unit of the sensor.
-        file: Name of the machine file in ``benchmarks/machines``; empty if it is in the folder of the recordings.
+        file: Name of the machine file in ``benchmarks/machines``; empty if it is in the folder of the
+            recordings.
         logs: Logs in the repository.
         options: Options of `hframe import` for them.
     """

@@ -1,20 +1,21 @@
-"""Does identification hold on rigs that were drawn at random? Names, errors, standard deviations, detection, time.
+"""Does identification hold on random rigs? Names, errors, standard deviations, detection, time.
 
     python -m benchmarks.random_rigs --seed 1 --only 3 17 40 --log      # some rigs of the development set
     python -m benchmarks.random_rigs --seed 1 --count 300 --jobs 2      # all of them
     python -m benchmarks.random_rigs --seed 20271154 --count 30  # the set that is run once, for RESULTS.md
     python -m benchmarks.random_rigs --closed-loop --seed 20271153 --count 60  # the same in closed loop
 
-With --closed-loop, a position controller follows machine programs, and the log has 100 Hz to 1 kHz of its rows; the
-unseen runs have all of them, and two of three are in open loop. The results are random_rigs_closed_SEED.json.
-Identifications have the default budget of processor time, as those of users have: on a slower computer, the search in a
-rig may end earlier. With --repeat, every rig is identified twice, the second time in a new process. Only the first
-identification has to compile simulation code; the second one must give the same report.
-The rigs come from `tests.rigs.random_rigs` and two independent simulators; `benchmarks.scoring` compares names. Seed 1
-is for development. Nothing may be changed after a look at the final seeds, which are run once, for published results.
-Results of single rigs are cached in out/random_rigs as long as package, rigs and simulators are the same (with
---resume: always), so that an interrupted run continues. With --ray, the workers of a cluster import `benchmarks` and
-`tests` from the checkout in which the command runs, or from their PYTHONPATH.
+With --closed-loop, a position controller follows machine programs, and the log has 100 Hz to 1 kHz of its
+rows; the unseen runs have all of them, and two of three are in open loop. The results are
+random_rigs_closed_SEED.json. Identifications have the default budget of processor time, as those of users
+have: on a slower computer, the search in a rig may end earlier. With --repeat, every rig is identified twice,
+the second time in a new process. Only the first identification has to compile simulation code; the second one
+must give the same report. The rigs come from `tests.rigs.random_rigs` and two independent simulators;
+`benchmarks.scoring` compares names. Seed 1 is for development. Nothing may be changed after a look at the
+final seeds, which are run once, for published results. Results of single rigs are cached in out/random_rigs
+as long as package, rigs and simulators are the same (with --resume: always), so that an interrupted run
+continues. With --ray, the workers of a cluster import `benchmarks` and `tests` from the checkout in which the
+command runs, or from their PYTHONPATH.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Draw the results on random rigs: confusion, detection against size, calibration, errors on unseen runs, time."""
+"""Draw the results on random rigs: confusion, detection by size, calibration, errors on unseen runs, time."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def _confusion(counts: dict[str, dict[str, int]], path: Path) -> None:
 
 
 def _detection(detection: dict[str, Any], path: Path) -> None:
-    """Draw every effect by family and size, and the size at which half are identified, if some are and some are not."""
+    """Draw effects by family and size, and the size at which half are identified, if some but not all are."""
     figure, axes = plt.subplots(figsize=(6, 0.27 * len(detection) + 1.5), layout="constrained")
     for identified, marker, color, shift, name in (
         (True, "o", _GREEN, 0.12, "identified"),

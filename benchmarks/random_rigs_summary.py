@@ -103,7 +103,7 @@ def _median(values: Iterable[float]) -> float | None:
 
 
 def _names(rows: list[Row], detection: dict[str, Any]) -> dict[str, Any]:
-    """Count the hidden effects that were identified, by kind of rig, and those above the family's detection size."""
+    """Count the identified hidden effects, by kind of rig, and those above the family's detection size."""
     clean, residue = split_by_residue(rows)
     groups = {
         "clean": clean,
@@ -148,14 +148,15 @@ def _above(hidden: dict[str, Any], detection: dict[str, Any]) -> bool:
 def detection_sizes(rows: list[Row]) -> dict[str, Any]:
     """Estimate the size at which half of the effects of a family are identified.
 
-    A logistic curve over the logarithm of the size is fitted to all effects in clean rigs and rigs with a residue.
+    A logistic curve over the logarithm of the size is fitted to all effects in clean rigs and rigs with a
+    residue.
 
     Args:
         rows: Results by rig.
 
     Returns:
-        By family: count, identified, half (fraction of the full size; None if all are identified), points (pairs of
-        size and whether it was identified).
+        By family: count, identified, half (fraction of the full size; None if all are identified), points
+        (pairs of size and whether it was identified).
     """
     points: dict[str, list[tuple[float, bool]]] = defaultdict(list)
     for row in _of_kind(rows, "library"):
@@ -194,8 +195,9 @@ def confusion(rows: list[Row]) -> dict[str, dict[str, int]]:
         rows: Results by rig.
 
     Returns:
-        Counts by hidden family and named family. An effect that was identified counts at its family. For one that was
-        not, the false names of its rig count, or the verdict. The row "(not there)" counts all other false names.
+        Counts by hidden family and named family. An effect that was identified counts at its family. For one
+        that was not, the false names of its rig count, or the verdict. The row "(not there)" counts all other
+        false names.
     """
     counts: dict[str, Counter[str]] = defaultdict(Counter)
     for row in rows:
@@ -231,8 +233,9 @@ def coverage(rows: list[Row], keep: Callable[[dict[str, Any]], bool]) -> dict[st
         keep: Predicate that selects intervals.
 
     Returns:
-        Number of parameters with a relative standard deviation below `MAX_RELATIVE_STD`, the fraction inside the
-        intervals of 68 and 95 %, and the median and the root mean square of the error in standard deviations.
+        Number of parameters with a relative standard deviation below `MAX_RELATIVE_STD`, the fraction inside
+        the intervals of 68 and 95 %, and the median and the root mean square of the error in standard
+        deviations.
     """
     intervals = [i for r in rows for i in r["intervals"] if keep(i)]
     z = np.array(
@@ -252,7 +255,8 @@ def coverage(rows: list[Row], keep: Callable[[dict[str, Any]], bool]) -> dict[st
 def _errors(clean: list[Row], residue: list[Row]) -> dict[str, Any]:
     """Summarize the errors on unseen runs: over the noise, and over what the true machine reaches.
 
-    "over_truth" leaves out rigs with an effect that the runs to identify do not show: unseen runs may show it.
+    "over_truth" leaves out rigs with an effect that the runs to identify do not show: unseen runs may show
+    it.
     """
     over_noise = [r["unseen"]["after"]["mean"] for r in clean]
     over_truth = {
@@ -273,7 +277,7 @@ def _over_truth(row: Row) -> float:
 
 
 def _by_log(rows: list[Row]) -> dict[str, Any]:
-    """Summarize the rigs in closed loop by the changes of the voltages from one row of their logs to the next."""
+    """Summarize the rigs in closed loop by the changes of the voltages from one row of a log to the next."""
     groups = {}
     for name, (fewest, most) in LOGS.items():
         some = [r for r in rows if r.get("updates") and fewest <= r["updates"] <= most]

@@ -2,11 +2,12 @@
 
     nice -n -10 python -m benchmarks.ray_scaling [--repeats 3]      # needs the extra `ray`
 
-Two kinds of tasks: training (PPO on reach, several seeds) and identification (the example rigs). The plain run does the
-tasks one after the other in one process, with as many threads as there are cores, as `hframe train` and `hframe
-identify` do. It takes turns with two workers of Ray, so that other load affects both; a ratio is the plain run's time
-divided by Ray's. Ray's workers are running and have imported the package; how long that takes is a figure of its own.
-Every result is compared with that of the plain run, bit for bit.
+Two kinds of tasks: training (PPO on reach, several seeds) and identification (the example rigs). The plain
+run does the tasks one after the other in one process, with as many threads as there are cores, as
+`hframe train` and `hframe identify` do. It takes turns with two workers of Ray, so that other load affects
+both; a ratio is the plain run's time divided by Ray's. Ray's workers are running and have imported the
+package; how long that takes is a figure of its own. Every result is compared with that of the plain run, bit
+for bit.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Run a controller in closed loop on a rig of the independent simulator, with full state and held voltages."""
+"""Run a controller in closed loop on a rig of the independent simulator: full state, held voltages."""
 
 from __future__ import annotations
 

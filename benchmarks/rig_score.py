@@ -101,7 +101,7 @@ def score_rig(
 
 
 def _is_residue(label: str, rig: RandomRig) -> bool:
-    """Return whether an effect is the rig's residue itself, a small hysteresis that the library can describe."""
+    """Return whether an effect is the rig's residue, a small hysteresis that the library can describe."""
     return rig.residue.hysteresis is not None and fnmatch(label, f"*hysteresis*@{rig.residue.hysteresis[0]}")
 
 
@@ -119,18 +119,19 @@ def _hidden(effect: DrawnEffect, identified: bool) -> dict[str, Any]:
 
 
 def trace(session: RandomSession, effect: DrawnEffect) -> float | None:
-    """Return how much an effect changes the measurements of the runs to identify, beside the rig's other effects.
+    """Return how much an effect changes the measurements of the fitted runs, beside other effects.
 
-    No method can find an effect without a trace: a controller that follows programs need not reach the current at which
-    a drive saturates. What other parameters could make up for is not subtracted.
+    No method can find an effect without a trace: a controller that follows programs need not reach the
+    current at which a drive saturates. What other parameters could make up for is not subtracted.
 
     Args:
         session: The recorded rig.
         effect: One of its hidden effects.
 
     Returns:
-        Sum of the squared changes in units of the noise, over all measurements, dimensionless; infinite if a simulation
-        diverges. None if the machine with or without the effect cannot be described by the library.
+        Sum of the squared changes in units of the noise, over all measurements, dimensionless; infinite if a
+        simulation diverges. None if the machine with or without the effect cannot be described by the
+        library.
     """
     rig = session.rig
     others = tuple(other for other in rig.hidden_effects if other is not effect)
@@ -163,8 +164,8 @@ def simulation_error(machine: Machine, recording: Recording, updates: int = 1) -
         updates: How many times the controller changes the voltages from one row to the next.
 
     Returns:
-        Measured minus simulated values, NaN where not measured, shape (n, sensors); infinite if the simulation
-        diverges.
+        Measured minus simulated values, NaN where not measured, shape (n, sensors); infinite if the
+        simulation diverges.
     """
     try:
         return simulate_recording(machine, recording, updates=updates).error
@@ -239,7 +240,7 @@ class IdentifiedRig(NamedTuple):
 def identify_rig(
     folder: Path, declared: Machine, truth: Sequence[DrawnEffect], *, log: bool
 ) -> IdentifiedRig:
-    """Identify the rig of a folder with `runs`, `unseen` and `truth.json`, and compare the names with the truth.
+    """Identify the rig in a folder with `runs`, `unseen`, `truth.json`, and compare names with the truth.
 
     Args:
         folder: Folder of the rig.
@@ -271,7 +272,7 @@ def identify_rig(
 
 
 def survives_rated_voltage(machine: Machine) -> bool:
-    """Check whether a machine, written and read again, stays finite under random voltages up to the rated ones.
+    """Check whether a machine, written and read, stays finite under random voltages up to the rated ones.
 
     Args:
         machine: Machine to write.
@@ -298,7 +299,7 @@ def survives_rated_voltage(machine: Machine) -> bool:
 
 
 def intervals(rig: RandomRig, machine: Machine) -> list[dict[str, Any]]:
-    """Return the estimates with their standard deviations and true values, for all parameters that have both."""
+    """Return the estimates with standard deviations and true values, for all parameters that have both."""
     rows: list[dict[str, Any]] = []
     if machine.uncertainty is None:
         return rows
@@ -324,7 +325,7 @@ def intervals(rig: RandomRig, machine: Machine) -> list[dict[str, Any]]:
 
 
 def _same_sign(name: str, parameters: dict[str, float], true: dict[str, float]) -> tuple[float, float]:
-    """Return estimate and true value of a parameter; a negative amplitude of a sine is half a period of its phase."""
+    """Return estimate and true value of a parameter; a sine's negative amplitude shifts its phase by pi."""
     label, _, key = name.rpartition(".")
     value = parameters[name]
     if f"{label}.p" in parameters and "@" in label:

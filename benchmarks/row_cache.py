@@ -27,8 +27,8 @@ def source_key(*further: str) -> str:
     """Return a hash of all sources on which an identification can depend.
 
     Args:
-        further: Other files on which a row depends, and folders of Python files, relative to the repository. Tests do
-            not count.
+        further: Other files on which a row depends, and folders of Python files, relative to the repository.
+            Tests do not count.
     """
     package, text = Path(hframe_gym.__file__).parent, hashlib.sha256()
     for name in INDEPENDENT:

@@ -1,7 +1,8 @@
 """How much faster the SIMD kernel is than the same step in plain scalar Numba code.
 
-Both run the same generated source. For the scalar version, `load`, `where`, `fma` and the other functions of a register
-are functions of one number, and the loop goes over machines one at a time. One core each, timed alternately.
+Both run the same generated source. For the scalar version, `load`, `where`, `fma` and the other functions of
+a register are functions of one number, and the loop goes over machines one at a time. One core each, timed
+alternately.
 
     python -m benchmarks.scalar_kernel
 """
@@ -84,7 +85,7 @@ def advance_all(state, parameters, derived, inputs, external_forces, h, steps):
 
 
 def compare(machine: Machine) -> tuple[float, float, float]:
-    """Return ns per machine and step of the SIMD and the scalar kernel, and the largest difference of travel, m."""
+    """Return ns per machine and step of SIMD and scalar kernel, and the largest difference of travel, m."""
     kernel, (prepare, advance) = kernel_for(machine), scalar_functions(machine)
     table = np.tile(parameter_batch(machine), (MACHINES, 1))
     inputs = np.random.default_rng(0).uniform(-9.0, 9.0, (MACHINES, len(machine.drives)))

@@ -26,10 +26,10 @@ SCORES = ("right", "missed", "part", "extra", "wrong", "false alarm")
 def classify(case: Case, verdict: str, named: list[str]) -> str:
     """Classify the effects that an identification named.
 
-    right: all hidden effects by an accepted label, and nothing else. missed: no effect. part: some of the hidden
-    effects, and nothing else. extra: all of them and others. wrong: others, but not all hidden ones. false alarm: an
-    effect in a rig without any. For effects outside the library, the verdict `unexplained` or a table over the right
-    variable counts as right.
+    right: all hidden effects by an accepted label, and nothing else. missed: no effect. part: some of the
+    hidden effects, and nothing else. extra: all of them and others. wrong: others, but not all hidden ones.
+    false alarm: an effect in a rig without any. For effects outside the library, the verdict `unexplained` or
+    a table over the right variable counts as right.
 
     Args:
         case: The rig.
@@ -57,7 +57,7 @@ def classify(case: Case, verdict: str, named: list[str]) -> str:
 
 
 def score_session(session: Session, answer: IdentificationResult) -> dict[str, Any]:
-    """Return a row of the results: hidden and identified effects, errors on the held-out runs, computing time.
+    """Return a row of results: hidden and identified effects, errors on held-out runs, computing time.
 
     Args:
         session: The recorded rig.
@@ -100,7 +100,7 @@ def score_session(session: Session, answer: IdentificationResult) -> dict[str, A
 
 
 def _tool_error(session: Session, answer: IdentificationResult, machine: Machine) -> float:
-    """Return the error of the tool in open-loop simulation of the noise-free held-out runs, um rms of x and y."""
+    """Return the tool's error in open-loop simulation of the noise-free held-out runs, um rms of x and y."""
     truth = session.truth()
     measured = {r.name: r.outputs for r in session.recordings()}
 
@@ -115,7 +115,7 @@ def _tool_error(session: Session, answer: IdentificationResult, machine: Machine
 
 
 def _parameter_error(case: Case, answer: IdentificationResult) -> dict[str, float]:
-    """Return the relative errors of parameters by name@site.parameter, for effects that were named by their label.
+    """Return the relative errors of parameters by name@site.parameter, for effects named by their label.
 
     A parameter whose true value is zero has no relative error.
     """
@@ -151,7 +151,7 @@ class NameScore:
 
 
 def effect_class(label: str) -> str:
-    """Return the class of a label: effects of one class cannot be told apart by any recording, or report as one.
+    """Return the class of a label: no recording or no report tells effects of one class apart.
 
     Args:
         label: Effect as name@site.
@@ -167,14 +167,14 @@ def effect_class(label: str) -> str:
 
 
 def accepted_classes(effect: DrawnEffect) -> tuple[tuple[str, ...], ...]:
-    """Return the sets of classes of which one has to be named completely for a hidden effect to count as identified.
+    """Return the sets of classes of which one must be named completely to count an effect as identified.
 
     Args:
         effect: Hidden effect of the library.
 
     Returns:
-        For an effect on both drives, that on the site "drives", or one on each motor; for an effect on the belts, that
-        on the site "belts", or on any belt.
+        For an effect on both drives, that on the site "drives", or one on each motor; for an effect on the
+        belts, that on the site "belts", or on any belt.
     """
     if effect.site == "belts":
         return tuple(
@@ -187,8 +187,8 @@ def accepted_classes(effect: DrawnEffect) -> tuple[tuple[str, ...], ...]:
 def score_names(hidden: Sequence[DrawnEffect], verdict: str, named: Mapping[str, Sequence[str]]) -> NameScore:
     """Compare the named effects with the hidden ones up to their class.
 
-    An effect outside the library counts as identified if one of its accepted labels is named, or if the verdict is
-    `unexplained` and nothing else is named.
+    An effect outside the library counts as identified if one of its accepted labels is named, or if the
+    verdict is `unexplained` and nothing else is named.
 
     Args:
         hidden: Hidden effects.

@@ -2,21 +2,23 @@
 
     python -m benchmarks.speed_against PATH_OF_OTHER_CHECKOUT [--repeats 9] [--only MEASURE]
 
-Each checkout runs in a separate process with the same interpreter. The processes take turns, so that other load on the
-machine affects both equally. A ratio is this checkout's rate divided by the other's: the median over the repetitions;
-the spread gives their extremes. Ratios are given in processor time (of all threads), which other programs hardly
-affect, and in wall time. One round before the first is not counted, because it compiles the kernels.
+Each checkout runs in a separate process with the same interpreter. The processes take turns, so that other
+load on the machine affects both equally. A ratio is this checkout's rate divided by the other's: the median
+over the repetitions; the spread gives their extremes. Ratios are given in processor time (of all threads),
+which other programs hardly affect, and in wall time. One round before the first is not counted, because it
+compiles the kernels.
 
 Measures:
-    kernel: integrator steps per second of a batch of 4096 stages on all cores (`KernelBatch` of that checkout's
+    kernel: integrator steps per second of a batch of 4096 stages on all cores (`KernelBatch` of that
+    checkout's
         benchmarks; needs the extra `bench`, because older checkouts import MuJoCo beside it).
     recording: simulations per second of one recording of 2 s at 1 kHz by `Machine.simulate`.
     vector: environment steps per second of 4096 environments by `gym.make_vec`, default randomization.
     rig: the same with the sensors and drives of the rig.
     single: environment steps per second of one environment by `gym.make`, resets included.
 
-Nothing is written to benchmarks/results/, because a ratio belongs to two commits. The exit code is 1 if a ratio in
-processor time is below --bar.
+Nothing is written to benchmarks/results/, because a ratio belongs to two commits. The exit code is 1 if a
+ratio in processor time is below --bar.
 """
 
 from __future__ import annotations

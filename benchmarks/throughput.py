@@ -1,11 +1,11 @@
-"""How fast is the kernel? Steps per second against MuJoCo and SciPy, scaling, first use, memory, and the roofline.
+"""How fast is the kernel? Steps per second against MuJoCo and SciPy, scaling, first use, memory, roofline.
 
     python -m benchmarks.throughput
 
-Compared: the generated kernel, MuJoCo's multi-threaded rollout with its fastest and its most accurate settings, and
-SciPy's LSODA. All of them run in this process, in turn, with the same random voltages (held for 10 ms) and the same
-integration step. A ratio is the median over the repetitions; the spread gives their extremes. Seed and versions are
-written to results/throughput.json.
+Compared: the generated kernel, MuJoCo's multi-threaded rollout with its fastest and its most accurate
+settings, and SciPy's LSODA. All of them run in this process, in turn, with the same random voltages (held for
+10 ms) and the same integration step. A ratio is the median over the repetitions; the spread gives their
+extremes. Seed and versions are written to results/throughput.json.
 """
 
 from __future__ import annotations
@@ -56,7 +56,8 @@ FRICTION = (
     "update_speed",
 )
 BAR, AIM = 300.0, 800.0  # ratio of the kernel's rate to MuJoCo's: required and desired
-# MuJoCo's fastest integrator and solver on this stage with its driest friction; `fastest_choice` measures them all.
+# MuJoCo's fastest integrator and solver on this stage with its driest friction; `fastest_choice` measures
+# them all.
 FASTEST = Choice("Euler", "PGS", "stiff")
 MOST_ACCURATE = Choice("RK4", "Newton", "stiff")
 
@@ -231,7 +232,8 @@ def one_recording(machine: Machine) -> dict[str, float]:
     return {"median_ms": statistics.median(spent[10:]), "best_ms": min(spent)}
 
 
-# -- roofline ----------------------------------------------------------------------------------------------------------
+# -- roofline
+# ----------------------------------------------------------------------------------------------------------
 
 
 class Counted:
@@ -276,7 +278,7 @@ Counted.__neg__ = lambda self: Counted.of("bits")  # type: ignore[attr-defined]
 
 
 def operations(machine: Machine) -> Counter[str]:
-    """Count the vector operations of one step of a block in which no coordinate stops, from the generated source."""
+    """Count the vector operations of one step of a block in which no coordinate stops, from its source."""
     text = kernel_source_text(machine)
     body = text[text.index("def advance(") : text.index("def read_sensors(")]
     kinds = {"fma": "fma", "where": "select", "copysign": "bits", "absolute": "bits", "minimum": "compare"}

@@ -1,9 +1,10 @@
-"""Fit masses, friction and belts of a machine to recordings of a rig, by the gradient of the simulation error.
+"""Fit masses, friction and belts of a machine to recordings of a rig, by the gradient of its error.
 
     python examples/parameter_fit.py [FOLDER]
 
-All runs of the folder are simulated at once from rest, under the recorded voltages. `hframe identify` does this and
-much more; the example shows how little is needed for a fit of your choice: another cost, other parameters, a network.
+All runs of the folder are simulated at once from rest, under the recorded voltages. `hframe identify` does
+this and much more; the example shows how little is needed for a fit of your choice: another cost, other
+parameters, a network.
 """
 
 from __future__ import annotations

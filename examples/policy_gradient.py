@@ -2,9 +2,9 @@
 
     python examples/policy_gradient.py
 
-The policy sees the distance to the goal and the velocity of the tool. Each update simulates 0.5 s of 64 episodes with
-random starts and goals, and differentiates the mean distance with respect to the weights. `hframe train apg` is a
-complete recipe of this kind.
+The policy sees the distance to the goal and the velocity of the tool. Each update simulates 0.5 s of 64
+episodes with random starts and goals, and differentiates the mean distance with respect to the weights.
+`hframe train apg` is a complete recipe of this kind.
 """
 
 from __future__ import annotations

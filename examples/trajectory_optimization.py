@@ -1,9 +1,9 @@
-"""Find the voltages that move the tool to a point and leave it at rest there, by gradient descent on the voltages.
+"""Find the voltages that move the tool to a point and leave it at rest there, by gradient descent.
 
     python examples/trajectory_optimization.py
 
-Every voltage of the motion is a free number. The derivatives of the final error with respect to all of them come from
-one pass back through the simulated motion.
+Every voltage of the motion is a free number. The derivatives of the final error with respect to all of them
+come from one pass back through the simulated motion.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ def optimize(updates: int = 400) -> tuple[torch.Tensor, float, float]:
         distance: Distance of the tool from the goal at the end, m.
         speed: Speed of the tool at the end, m/s.
     """
-    # Static friction would hide at the start that a higher voltage moves the tool; "sliding" derivatives tell it.
+    # Static friction would hide at the start that a higher voltage moves the tool; "sliding" derivatives tell
+    # it.
     stage = DifferentiableStage(load_machine("hframe"), end_stops=True, friction="sliding")
     rated, goal = torch.from_numpy(stage.rated), torch.tensor(GOAL, dtype=torch.float64)
     free = torch.zeros(PERIODS, len(rated), dtype=torch.float64, requires_grad=True)

@@ -1,8 +1,8 @@
 """H-frame belt stages: simulation, Gymnasium environments, and identification of missing model effects.
 
 Importing the package registers the environments `HFrame-v0` and `HFrameTrack-v0` with Gymnasium, as well as
-`HFrameFlat-v0` and `HFrameTrackFlat-v0`, whose observation is one array. The names below load their subpackage when
-they are first used:
+`HFrameFlat-v0` and `HFrameTrackFlat-v0`, whose observation is one array. The names below load their
+subpackage when they are first used:
 
     Machine              machine model: coordinates, belts, drives, sensors, effects
     load_machine         read a machine.json, or return a preset by name
@@ -79,7 +79,8 @@ _SUBPACKAGES = {
 
 # 1.5 s at the default period: the longest move takes half of it, a lap of the circle a third.
 _EPISODE_STEPS = 150
-# Environment, vector environment and keywords by id; only names, so that the import does not load the simulator.
+# Environment, vector environment and keywords by id; only names, so that the import does not load the
+# simulator.
 _REACH = "hframe_gym.envs:HFrameEnv", "hframe_gym.envs:HFrameVectorEnv"
 _TRACK = "hframe_gym.envs:HFrameTrackEnv", "hframe_gym.envs:HFrameTrackVectorEnv"
 _ENVIRONMENTS: dict[str, tuple[tuple[str, str], dict[str, Any]]] = {

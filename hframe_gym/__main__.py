@@ -28,7 +28,7 @@ def _leave(number: int) -> None:
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
-    """Handle a signal: unwind, so that the terminal and temporary folders are restored; a second one ends at once."""
+    """Handle a signal: unwind, so that terminal and temporary folders are restored; a second one exits."""
     _received.append(number)
     for other in _LINES:
         signal.signal(other, lambda again, _: _leave(again))
@@ -42,8 +42,8 @@ def main() -> None:
     """Run the `hframe` command; let SIGINT (Ctrl-C) and SIGTERM end it with one line of text.
 
     Raises:
-        SystemExit: With the exit code of `hframe_gym.cli.main`: 0, 1 or 2. After a signal, the process ends with the
-            exit code 130 (SIGINT) or 143 (SIGTERM) instead, without an exception.
+        SystemExit: With the exit code of `hframe_gym.cli.main`: 0, 1 or 2. After a signal, the process ends
+            with the exit code 130 (SIGINT) or 143 (SIGTERM) instead, without an exception.
     """
     for number in _LINES:
         # Ignored by nohup, or in the background of a script.

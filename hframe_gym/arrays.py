@@ -1,8 +1,8 @@
 """Array types that occur in many signatures, with shape and unit stated once.
 
-The names are annotations for readers; a type checker only sees arrays of floats. Letters in shapes: B machines that
-are simulated side by side, n coordinates of a machine, P parameters, N samples; "axes" are those of the tool. Belt
-travel and other terms are defined in docs/glossary.md.
+The names are annotations for readers; a type checker only sees arrays of floats. Letters in shapes: B
+machines that are simulated side by side, n coordinates of a machine, P parameters, N samples; "axes" are
+those of the tool. Belt travel and other terms are defined in docs/glossary.md.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Times: TypeAlias = NDArray[np.float64]
 """Sample times, s, strictly increasing, shape (N,)."""
 
 Inputs: TypeAlias = NDArray[np.float64]
-"""Command of each drive, V, A, Nm or the unit of its set point, held until the next sample, shape (N, drives)."""
+"""Command of each drive, V, A, Nm or its set point's unit, held until the next sample, shape (N, drives)."""
 
 ElapsedTimes: TypeAlias = NDArray[np.float64]
 """Time since the start of the episode of each machine, s, shape (B,)."""
@@ -41,7 +41,7 @@ ToolPositions: TypeAlias = NDArray[np.float64]
 """Positions of the tool, m, shape (B, axes)."""
 
 PreviewedGoals: TypeAlias = NDArray[np.float64]
-"""Tool goals, m, shape (B, 1 + H, axes): now, then at the ends of the next H periods. H = 0: the goal does not move."""
+"""Tool goals, m, shape (B, 1 + H, axes): now, then at the ends of the next H periods; H = 0: a fixed goal."""
 
 TravelStates: TypeAlias = NDArray[np.float64]
 """Belt travel of the coordinates, m, then its velocity, m/s, shape (B, 2 n)."""
@@ -56,7 +56,7 @@ Workspace: TypeAlias = NDArray[np.float64]
 """Workspace of the tool: one row per axis, columns low and high, m, shape (axes, 2)."""
 
 EnvironmentParameters: TypeAlias = NDArray[np.float64]
-"""Parameters of k environments in the order of `ParameterSpace.names` of `hframe_gym.envs`, SI, shape (k, N)."""
+"""Parameters of k environments, ordered as `ParameterSpace.names` of `hframe_gym.envs`, SI, shape (k, N)."""
 
 EnvironmentCounts: TypeAlias = NDArray[np.int64]
 """A count for each environment, such as its control periods since the reset, shape (environments,)."""
@@ -65,10 +65,10 @@ EpisodeKeys: TypeAlias = NDArray[np.uint64]
 """Key (seed) of each episode, from which all its random numbers follow, shape (k,)."""
 
 GoalPlans: TypeAlias = NDArray[np.float64]
-"""Plan of each episode: numbers, in the task's format, that define its goal at all times, shape (k, plan_size)."""
+"""Plan of each episode: numbers, in the task's format, for its goal at all times, shape (k, plan_size)."""
 
 LaneReadings: TypeAlias = NDArray[np.float64]
-"""Readings of all sensors without noise and quantization, in their units, in lanes, shape (blocks, sensors, LANES).
+"""Readings of all sensors without noise and rounding, in their units, in lanes: (blocks, sensors, LANES).
 
 Machine b is lane b % LANES (8 or 16, `hframe_gym.dynamics.LANES`) of block b // LANES.
 """
@@ -76,8 +76,9 @@ Machine b is lane b % LANES (8 or 16, `hframe_gym.dynamics.LANES`) of block b //
 KeyedObservation: TypeAlias = Mapping[str, NDArray[Any]]
 """Observation of B machines by key.
 
-- `observation`: positions of the tool's axes and the driven coordinates, m and rad, then their velocities, m/s and
-  rad/s, if the full state is observed, shape (B, 2 n); otherwise one measurement per sensor, shape (B, channels);
+- `observation`: positions of the tool's axes and the driven coordinates, m and rad, then their velocities,
+  m/s and rad/s, if the full state is observed, shape (B, 2 n); otherwise one measurement per sensor,
+  shape (B, channels);
 - `desired_goal`: present tool goal, m, shape (B, axes);
 - `preview`, only for a moving goal: goals at the ends of the next H periods, m, shape (B, axes * H).
 """

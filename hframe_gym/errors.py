@@ -12,8 +12,8 @@ from contextlib import contextmanager
 class InputError(ValueError):
     """A file or an argument is invalid.
 
-    The message is one line that names the file, the row, column or field, and what to do. Commands print it and exit
-    with code 2.
+    The message is one line that names the file, the row, column or field, and what to do. Commands print it
+    and exit with code 2.
     """
 
 
@@ -34,12 +34,12 @@ _LONGEST_REASON = 300  # characters; those of other libraries may hold a whole f
 
 
 def one_line(error: Exception) -> str:
-    """Return the reason that an exception of another library gives, in one line; its type if it gives none."""
+    """Return the reason that another library's exception gives, in one line; its type if it gives none."""
     return " ".join(str(error).split())[:_LONGEST_REASON] or type(error).__name__
 
 
 def suggestion(name: object, names: Iterable[str]) -> str:
-    """Return the end of a message about an unknown name: "; did you mean 'corexy'?", or "" if no name is similar."""
+    """Return the end of a message on an unknown name: "; did you mean 'corexy'?"; "" if none is similar."""
     similar = difflib.get_close_matches(str(name), list(names), 1)
     return f"; did you mean {similar[0]!r}?" if similar else ""
 
@@ -51,7 +51,7 @@ def example_names(name: object, names: Sequence[str]) -> str:
 
 
 def is_number(value: object) -> bool:
-    """Return whether an argument of a user is a finite real number of Python or NumPy; False for bool, inf and nan."""
+    """Return whether a user's argument is a finite real number of Python or NumPy; bool does not count."""
     if not isinstance(value, numbers.Real) or isinstance(value, bool):
         return False
     try:
@@ -72,7 +72,7 @@ def name_runs(names: Iterable[str]) -> str:
 
 
 def merge_run_warnings(warnings: Iterable[tuple[str, str]]) -> tuple[str, ...]:
-    """Merge warnings (name of a run, text) with the same text to lines such as "run_01 and 2 more runs: TEXT"."""
+    """Merge warnings (run's name, text) of the same text to lines such as "run_01 and 2 more runs: TEXT"."""
     runs: dict[str, list[str]] = {}
     for run, text in warnings:
         runs.setdefault(text, []).append(run)

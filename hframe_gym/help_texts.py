@@ -1,4 +1,4 @@
-"""Help texts of options, in which placeholders such as {tasks} stand for registered names, also those of plugins."""
+"""Help texts of options, where placeholders such as {tasks} stand for registered names, also of plugins."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ def with_choices(text: str) -> str:
 
 
 def registered_choices() -> dict[str, str]:
-    """List the names that some options accept, by their placeholder in the help texts: {"tasks": "reach, track"}.
+    """List the names that some options accept, by their placeholder in help texts: {"tasks": "reach, track"}.
 
-    Plugins are imported first. The placeholders are agents, algorithms, controllers, protocols, randomizations,
-    sensors, sensor_kinds and tasks.
+    Plugins are imported first. The placeholders are agents, algorithms, controllers, protocols,
+    randomizations, sensors, sensor_kinds and tasks.
     """
     from .agents import recipe_names, shipped_agent_names
     from .controllers import CONTROLLERS

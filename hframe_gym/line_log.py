@@ -6,4 +6,4 @@ from collections.abc import Callable
 from typing import TypeAlias
 
 LineLog: TypeAlias = Callable[[str], object]
-"""Function that is called with a line of text about the work in progress, without its end, such as `print`."""
+"""Function that is called with a line of text about work in progress, without its end, such as `print`."""

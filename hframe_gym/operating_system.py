@@ -1,4 +1,4 @@
-"""What differs between Linux, macOS and Windows: cores, memory, folders for a user's files, quotation marks."""
+"""What differs between Linux, macOS and Windows: cores, memory, folders for users' files, quotation marks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
-# Environment variable and default below the user's folder, by kind of files and by the beginning of `sys.platform`.
+# Environment variable and default below the user's folder, by kind of files and by the beginning of
+# `sys.platform`.
 _FOLDERS = {
     "cache": {
         "win32": ("LOCALAPPDATA", "AppData/Local"),
@@ -55,9 +56,9 @@ _KEPT = {_SEPARATE_ABOVE: 64 << 20, _RETURNED_ABOVE: 512 << 20}
 def reused_memory() -> Iterator[None]:
     """Keep the memory of freed arrays for the next ones, as a context or a decorator; at its end, return it.
 
-    The GNU C library returns the memory of large arrays to the system at once. The system must clear every page before
-    the next array gets it, which takes longer than the arithmetic of an array that is used a few times. Other
-    C libraries are left as they are.
+    The GNU C library returns the memory of large arrays to the system at once. The system must clear every
+    page before the next array gets it, which takes longer than the arithmetic of an array that is used a few
+    times. Other C libraries are left as they are.
     """
     library = ctypes.CDLL(None) if sys.platform == "linux" else None
     if library is None or not hasattr(library, "mallopt") or not hasattr(library, "malloc_trim"):
@@ -84,8 +85,9 @@ def user_folder(
         variables: Environment variables. Default: those of this process.
 
     Returns:
-        `$XDG_CACHE_HOME` or `$XDG_DATA_HOME` where it is set; else, for "cache", ~/.cache on Linux, ~/Library/Caches on
-        macOS, `%LOCALAPPDATA%` on Windows; for "data", ~/.local/share, ~/Library/Application Support, `%LOCALAPPDATA%`.
+        `$XDG_CACHE_HOME` or `$XDG_DATA_HOME` where it is set; else, for "cache", ~/.cache on Linux,
+        ~/Library/Caches on macOS, `%LOCALAPPDATA%` on Windows; for "data", ~/.local/share,
+        ~/Library/Application Support, `%LOCALAPPDATA%`.
     """
     variables = os.environ if variables is None else variables
     variable, below_home = _FOLDERS[kind].get(system, _FOLDERS[kind][""])
@@ -104,5 +106,5 @@ def interrupt(process: subprocess.Popen[str]) -> None:
 
 
 def quoted(word: str, system: str = sys.platform) -> str:
-    """Quote a word of a command that a message proposes, such as a path, as the shell of a system needs it."""
+    """Quote a word of a command that a message proposes, such as a path, as a system's shell needs it."""
     return subprocess.list2cmdline([word]) if system == "win32" else shlex.quote(word)

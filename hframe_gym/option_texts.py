@@ -1,4 +1,4 @@
-"""Descriptions of options that commands and exporters share; names in braces stand for the registered names."""
+"""Descriptions of options that commands and exporters share; names in braces stand for registered names."""
 
 MACHINE = "A machine.json or a built-in name (see `hframe machines`)."
 TASK = "Task: {tasks}, or module:name, also of my_module.py in this folder."

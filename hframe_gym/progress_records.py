@@ -23,5 +23,5 @@ def line_of(record: Mapping[str, Any]) -> str:
 
 
 def record_of(line: str) -> dict[str, Any] | None:
-    """Return the record of progress that a line of output holds, without its end; None if it is another line."""
+    """Return the record of progress of a line of output, without its end; None if it is another line."""
     return json.loads(line.removeprefix(_MARK)) if line.startswith(_MARK) else None

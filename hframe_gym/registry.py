@@ -1,9 +1,10 @@
 """Registries: collections of classes or functions, such as controllers and tasks, that are selected by name.
 
-Code outside the package can register more of them, which every command and `gym.make` then accept. There are three
-ways: a name of the form `package.module:name` imports that module first; an installed package declares a module as an
-entry point of the group `hframe_gym.plugins`; the environment variable `HFRAME_PLUGINS` lists modules. The latter two
-are imported when a name is not registered yet. Modules are also found in the current folder.
+Code outside the package can register more of them, which every command and `gym.make` then accept. There are
+three ways: a name of the form `package.module:name` imports that module first; an installed package declares
+a module as an entry point of the group `hframe_gym.plugins`; the environment variable `HFRAME_PLUGINS` lists
+modules. The latter two are imported when a name is not registered yet. Modules are also found in the current
+folder.
 """
 
 from __future__ import annotations
@@ -33,15 +34,17 @@ PLUGIN_VARIABLE = "HFRAME_PLUGINS"
 def load_plugins() -> None:
     """Import all plugins; calls after the first one do nothing.
 
-    A plugin is a module that registers effects, controllers, tasks and so on when it is imported. The environment
-    variable `HFRAME_PLUGINS` lists names of modules or paths of Python files, with the separator of PATH between them.
-    An installed package declares a plugin as an entry point of the group `hframe_gym.plugins`.
+    A plugin is a module that registers effects, controllers, tasks and so on when it is imported. The
+    environment variable `HFRAME_PLUGINS` lists names of modules or paths of Python files, with the separator
+    of PATH between them. An installed package declares a plugin as an entry point of the group
+    `hframe_gym.plugins`.
 
     Raises:
         InputError: If a plugin of `HFRAME_PLUGINS` cannot be imported.
 
     Warns:
-        UserWarning: If a plugin of an installed package cannot be imported; all other plugins are still imported.
+        UserWarning: If a plugin of an installed package cannot be imported; all other plugins are still
+        imported.
     """
     for name in filter(None, os.environ.get(PLUGIN_VARIABLE, "").split(os.pathsep)):
         import_plugin(name)
@@ -53,11 +56,12 @@ def load_plugins() -> None:
 
 
 def import_plugin(name: str) -> None:
-    """Import a plugin, a module that registers effects, controllers, ..., by its name or the path of its file.
+    """Import a plugin, a module that registers effects, controllers, ..., by its name or its file's path.
 
     Args:
-        name: Name of a module, which is installed, on PYTHONPATH or in the current folder, or path of a Python file.
-            The folder of the file or module is added to `sys.path`, so that other processes can import the module.
+        name: Name of a module, which is installed, on PYTHONPATH or in the current folder, or path of a
+            Python file. The folder of the file or module is added to `sys.path`, so that other processes can
+            import the module.
 
     Raises:
         InputError: If the module cannot be imported.
@@ -77,8 +81,8 @@ def import_plugin(name: str) -> None:
 def _import_from_user(module: str) -> None:
     """Import a module that a user named: where Python finds it, else in the current folder.
 
-    The folder is then appended to `sys.path`, so that the module and worker processes find modules beside it; it comes
-    last, so that files in it replace no installed module.
+    The folder is then appended to `sys.path`, so that the module and worker processes find modules beside it;
+    it comes last, so that files in it replace no installed module.
     """
     top_level = module.partition(".")[0]
     try:
@@ -104,12 +108,13 @@ def import_modules(package: str, path: Iterable[str], *, skip: tuple[str, ...] =
 
 
 class Registry(Generic[T]):
-    """Collection of classes or functions of one kind, such as controllers, which options and commands select by name.
+    """Collection of classes or functions of one kind, such as controllers, selected by name.
 
     Args:
         kind: What the collection holds, for error messages, for example "controller".
-        package: Full name of a package whose modules register further parts. It is imported when a name is looked up
-            that is not registered yet, or all names are: a registry need not import what builds on it.
+        package: Full name of a package whose modules register further parts. It is imported when a name is
+            looked up that is not registered yet, or all names are: a registry need not import what builds on
+            it.
     """
 
     def __init__(self, kind: str, package: str = "") -> None:
@@ -118,12 +123,12 @@ class Registry(Generic[T]):
         self._parts: dict[str, T] = {}
 
     def register(self, name: str) -> Callable[[P], P]:
-        """Return a decorator that adds a class or function to the registry under a name, by which options select it.
+        """Return a decorator that adds a class or function to the registry, under a name for options.
 
         Raises:
-            ValueError: When the decorator is applied, if another class or function has the name. A class or function
-                with the same file and `__qualname__` as the registered one, for example of a reloaded module, is not
-                another one and replaces it.
+            ValueError: When the decorator is applied, if another class or function has the name. A class or
+                function with the same file and `__qualname__` as the registered one, for example of a
+                reloaded module, is not another one and replaces it.
         """
 
         def add(part: P) -> P:
@@ -145,11 +150,12 @@ class Registry(Generic[T]):
         If the name is not registered yet, all plugins are imported before the name is looked up.
 
         Args:
-            name: Registered name. `package.module:name` first imports that module, which registers the name; it is
-                installed, on PYTHONPATH or in the current folder.
+            name: Registered name. `package.module:name` first imports that module, which registers the name;
+                it is installed, on PYTHONPATH or in the current folder.
 
         Raises:
-            InputError: If the module cannot be imported or the name is not registered; the message lists all names.
+            InputError: If the module cannot be imported or the name is not registered; the message lists all
+                names.
         """
         if name in self._parts:
             return self._parts[name]
@@ -177,7 +183,7 @@ class Registry(Generic[T]):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Registered names in the order of registration. Names of plugins that are not imported yet are missing."""
+        """Registered names in the order of registration. Those of plugins not imported yet are missing."""
         self._import_package()
         return tuple(self._parts)
 
@@ -190,7 +196,7 @@ class Registry(Generic[T]):
         return name in self._parts
 
     def __iter__(self) -> Iterator[str]:
-        """Return an iterator over the registered names in the order of registration; plugins are not imported."""
+        """Return an iterator over registered names in the order of registration; plugins are not imported."""
         return iter(self.names)
 
     def _import_package(self) -> None:
@@ -200,7 +206,7 @@ class Registry(Generic[T]):
 
 
 def _origin(part: object) -> object:
-    """Return the file and the name that define a class or function; a module may be imported under two names."""
+    """Return file and name that define a class or function; a module may be imported under two names."""
     if not hasattr(part, "__qualname__"):
         return part
     return getattr(sys.modules.get(part.__module__), "__file__", part.__module__), part.__qualname__

@@ -13,7 +13,7 @@ _STD_OF_MEDIAN = 1.4826  # Standard deviation of a normal distribution / median 
 
 
 def std_by_median(deviations: Array, axis: int | None = None) -> Array:
-    """Estimate standard deviations, in the deviations' unit, shape () or (channels,), by the median of |deviations|.
+    """Estimate standard deviations, in the deviations' unit, shape () or (channels,), by median |deviations|.
 
     Args:
         deviations: Deviations from the center, in any unit, shape (n,) or (n, channels).

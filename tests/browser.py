@@ -31,7 +31,7 @@ CHECKS = (Path(__file__).parent / "page_checks.js").read_text()
 
 
 def require_chromium() -> tuple[str, str]:
-    """Return the paths of Chromium and its driver; skip the test if one or the package selenium is missing."""
+    """Return the paths of Chromium and its driver; skip the test if one or selenium is missing."""
     pytest.importorskip("selenium", reason="selenium is not installed: pip install -e '.[dev]'")
     browser = shutil.which("chromium") or shutil.which("google-chrome")
     server = shutil.which("chromedriver")
@@ -73,7 +73,7 @@ def open_page(driver: Any, page: Path, width: int, scheme: str) -> None:
 
 
 def faults_of(driver: Any, page: Path, width: int, scheme: str) -> list[str]:
-    """Open a page with all details unfolded, and list console messages and what violates the rules of pages."""
+    """Open a page with all details unfolded, and list console messages and what violates page rules."""
     driver.get_log("browser")
     open_page(driver, page, width, scheme)
     driver.execute_script("for (const d of document.querySelectorAll('details')) d.open = true")

@@ -10,8 +10,8 @@ from functools import partial
 from pathlib import Path
 
 if "PYTEST_XDIST_WORKER" in os.environ:
-    # The workers of pytest-xdist occupy all cores, so that threads of the linear algebra library would wait for each
-    # other. NumPy reads the variable when it is imported.
+    # The workers of pytest-xdist occupy all cores, so that threads of the linear algebra library would wait
+    # for each other. NumPy reads the variable when it is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
@@ -24,8 +24,9 @@ from hframe_gym.machine import BUILTIN_MACHINES, Machine
 HEADER = "time_s,v1_V,v2_V,phi1_rad,phi2_rad,x_m,y_m"
 NOT_UNIT = ("integration", "oracle", "train", "slow")
 
-# Modules and tests live until the end. To search them for garbage while they are created takes a third of the time of
-# the collection. During the tests, Python's thresholds (700, 10, 10) cause searches that take 4 % of the time.
+# Modules and tests live until the end. To search them for garbage while they are created takes a third of the
+# time of the collection. During the tests, Python's thresholds (700, 10, 10) cause searches that take 4 % of
+# the time.
 gc.disable()
 GC_THRESHOLDS = (20_000, 20, 20)
 
@@ -67,7 +68,7 @@ def axis() -> Machine:
 
 @pytest.fixture
 def without_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave plots out of report pages, for tests of their texts: drawing takes nine tenths of the time of a page."""
+    """Leave plots out of report pages, for tests of their texts: drawing takes nine tenths of the time."""
     monkeypatch.setattr("hframe_gym.web_page.page.panel_svg", lambda panel, prefix: "")
     monkeypatch.setattr("hframe_gym.identification.report.plots.save_panels", lambda panels, path: None)
 
@@ -83,7 +84,8 @@ def brief_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
 def write_run(tmp_path: Path) -> Callable[..., Path]:
     """Return a function that writes a valid recording of 20 rows and returns its path.
 
-    Its argument `cells` replaces cells by (row counted from 1, column name); `header` replaces the header line.
+    Its argument `cells` replaces cells by (row counted from 1, column name); `header` replaces the header
+    line.
     """
 
     def write(

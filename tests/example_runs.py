@@ -13,7 +13,7 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 
 @cache
 def example_runs(rig: str) -> tuple[Recording, ...]:
-    """Return the recordings of a folder of examples/, such as rig_a; tests share them, so nothing can write to them."""
+    """Return the recordings of a folder of examples/, such as rig_a; tests share them, read-only."""
     runs = tuple(load_recordings(EXAMPLES / rig, BUILTIN_MACHINES["hframe"]()))
     for run in runs:
         for array in (run.time_s, run.inputs, run.outputs):

@@ -23,7 +23,8 @@ COUNT = 40
 POSITION = 0.001 * np.arange(COUNT) ** 1.5
 VOLTAGE = 5.0 * (np.arange(COUNT) >= 10)
 WPILOG_PERIOD_US = 20_000
-# A motion of x: 0.1 s at 1000 mm/s^2, then 0.1 s at 100 mm/s, a pause of 0.1 s, and 0.05 s backward at 20 mm/s.
+# A motion of x: 0.1 s at 1000 mm/s^2, then 0.1 s at 100 mm/s, a pause of 0.1 s, and 0.05 s backward at 20
+# mm/s.
 KLIPPER_PIECES = [
     [10.0, 0.1, 0.0, 1000.0, [5.0, 0.0, 0.0], [1.0, 0.0, 0.0]],
     [10.1, 0.1, 100.0, 0.0, [10.0, 0.0, 0.0], [1.0, 0.0, 0.0]],
@@ -143,7 +144,7 @@ def write_matlab(path: Path, **variables: Any) -> None:
 
 
 def write_matlab_objects(path: Path, version: str, seconds: Any, values: Any) -> None:
-    """Write a timetable, timeseries with equal steps and of a running model, and an array; versions: "v7", "v7.3"."""
+    """Write a timetable, timeseries of equal steps and of a model, and an array; versions: "v7", "v7.3"."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # mat-io warns of its own use of pandas
         from matio import save_to_mat
@@ -162,7 +163,7 @@ def write_matlab_objects(path: Path, version: str, seconds: Any, values: Any) ->
 
 
 def write_simulink_signals(path: Path, seconds: Any, values: Any) -> None:
-    """Write a data set of Simulink as a running model does: a signal without name, one with times, one in a bus."""
+    """Write a data set of Simulink as a running model does: signals without name, with times, in a bus."""
     step = float(np.diff(seconds[:2])[0])
     with h5py.File(path, "w") as file:
 

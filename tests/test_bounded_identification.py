@@ -1,4 +1,4 @@
-"""Tests of `hframe identify` with a budget and with Ctrl-C: what is printed and written, and in which order."""
+"""Tests of `hframe identify` with a budget and with Ctrl-C: what is printed and written, in which order."""
 
 from __future__ import annotations
 

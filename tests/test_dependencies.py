@@ -152,7 +152,7 @@ def test_hints_name_extras_that_exist_and_are_spelled_alike() -> None:
 
 
 def _hints(file: Path) -> list[tuple[Path, str]]:
-    """Return the names with an extra, such as hframe_gym[agents], that a file states or lets `naming_extra` state."""
+    """Return the names with an extra, such as hframe_gym[agents], in a file or by `naming_extra`."""
     text = file.read_text("utf-8")
     named = [f"hframe_gym[{extra}]" for extra in re.findall(r"naming_extra\(\"([a-z]+)\"", text)]
     return [(file, hint) for hint in [*named, *re.findall(r"hframe[_-]gym\[[a-z,]+\]", text)]]

@@ -1,4 +1,4 @@
-"""Test that the documentation's links, paths and code blocks are valid, and that the site builds without a warning."""
+"""Test that the documentation's links, paths and code blocks are valid, and that the site builds silently."""
 
 import json
 import os
@@ -73,7 +73,7 @@ def test_the_start_page_leads_to_the_same_pages_as_the_readme() -> None:
 
 @pytest.mark.parametrize("page", SITE, ids=name_of)
 def test_every_block_has_a_language(page: Path) -> None:
-    """A block without a language would not be executed; one that is not executed says why in its first line."""
+    """A block without a language would not be executed; one not executed says why in its first line."""
     assert [
         f"line {b.line}: {b.language!r}" for b in blocks_of(page) if b.language not in (*EXECUTED, *SHOWN)
     ] == []

@@ -1,4 +1,4 @@
-"""A toy effect, controller, task, reward, sensor kind and log format, defined in this file alone, work everywhere."""
+"""A toy effect, controller, task, reward, sensor kind and log format, defined here alone, work everywhere."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ PARTS: list[tuple[Any, str, Any]] = [
 
 @pytest.fixture(autouse=True)
 def toys() -> Iterator[None]:
-    """Register the parts for one test. A module of a user writes `@TASKS.register("toy-task")` above the class."""
+    """Register the parts for one test. A user's module writes `@TASKS.register("toy-task")` there."""
     register_effect(TOY_EFFECT)
     for registry, name, part in PARTS:
         registry.register(name)(part)
@@ -264,7 +264,7 @@ def test_commands_list_the_registered_parts(
 
 
 def recorded_runs(machine: Machine, k: float, count: int = 3, samples: int = 2000) -> list[Recording]:
-    """Return recordings of an axis with a cubic spring, moved to and fro, calculated here without the package."""
+    """Return recordings of an axis with a cubic spring, moved to and fro, computed without the package."""
     axis, drive, noise = machine.coordinates[0], machine.drives[0], machine.sensors[0].noise
     force_per_volt = drive.gear_ratio * drive.Kt / drive.resistance
     viscous = axis.viscous + force_per_volt * drive.Ke * drive.gear_ratio
@@ -292,7 +292,8 @@ def test_identify_names_the_effect() -> None:
     assert result.verdict == "effect_found"
     [selected] = result.effects
     assert selected.effect.label == "toy_cubic_spring@x"
-    # The recordings determine the ratios of forces: mass and drive gain are the declared ones only up to a factor.
+    # The recordings determine the ratios of forces: mass and drive gain are the declared ones only up to a
+    # factor.
     values = result.after.machine.parameters
     assert values["toy_cubic_spring@x.k"] / values["x.mass"] == pytest.approx(
         2e4 / axis.parameters["x.mass"], rel=0.01

@@ -1,7 +1,7 @@
-"""Test what a user installs: the wheel, with core dependencies only, in an empty environment outside the checkout.
+"""Test what a user installs: the wheel, with core dependencies only, in an empty environment elsewhere.
 
-Every Python version of `VERSIONS` that is on the machine is tested: the running one, `pythonX.Y` on the path, and those
-of pyenv. The tests build and install, so they need a package index.
+Every Python version of `VERSIONS` that is on the machine is tested: the running one, `pythonX.Y` on the path,
+and those of pyenv. The tests build and install, so they need a package index.
 """
 
 from __future__ import annotations
@@ -152,7 +152,8 @@ def test_a_missing_extra_is_named(words: tuple[str, ...], installed: Path, tmp_p
 
 
 def test_pip_accepts_the_command_of_the_hints(installed: Path, tmp_path: Path) -> None:
-    # The name need not be on an index: pip takes the installed package and adds the requirements of the extra.
+    # The name need not be on an index: pip takes the installed package and adds the requirements of the
+    # extra.
     pip = [installed / "python", "-m", "pip", "install", "--dry-run", "-c", ROOT / "constraints.txt"]
     lines = run([*pip, "hframe_gym[report]"], tmp_path).splitlines()
     (would_install,) = (line for line in lines if line.startswith("Would install"))

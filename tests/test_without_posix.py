@@ -1,4 +1,4 @@
-"""The package and its commands run where nothing exists that only POSIX systems have, and processes start by spawn."""
+"""The package and its commands run where nothing of POSIX alone exists, and processes start by spawn."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ for command in {commands!r}:
 
 @pytest.fixture(scope="module")
 def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder, with a blank in its name, with three short runs of an axis that has an undeclared effect."""
+    """Return a folder, a blank in its name, with three short runs of an axis with an undeclared effect."""
     folder = tmp_path_factory.mktemp("my logs")
     axis = BUILTIN_MACHINES["axis"]()
     truth = axis.with_effects(EFFECTS["constant_force"].at("x", size=0.7))
@@ -70,7 +70,7 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def posix_names(source: Path) -> list[str]:
-    """Return the names of POSIX that a module uses, but for those whose presence it asks for with `hasattr`."""
+    """Return the names of POSIX that a module uses, but for those that it checks with `hasattr`."""
     text, found = source.read_text("utf-8"), []
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):

@@ -2,9 +2,9 @@
 
     python -m tools.app_pictures [--all FOLDER]
 
-The pictures docs/figures/app_logs.png and docs/figures/app_control.png are parts of the pages that a newcomer sees.
-With `--all`, pictures of all stages, on wide and narrow, light and dark displays, are written to a folder, to be looked
-at. It needs Chromium, ChromeDriver, selenium and the extra `app`, and takes two minutes.
+The pictures docs/figures/app_logs.png and docs/figures/app_control.png are parts of the pages that a newcomer
+sees. With `--all`, pictures of all stages, on wide and narrow, light and dark displays, are written to a
+folder, to be looked at. It needs Chromium, ChromeDriver, selenium and the extra `app`, and takes two minutes.
 """
 
 from __future__ import annotations

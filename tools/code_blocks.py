@@ -3,12 +3,13 @@
     python -m tools.code_blocks docs/environment.md           # without the slow blocks
     python -m tools.code_blocks docs/environment.md --slow    # all blocks
 
-Blocks of the languages `python` and `sh` are executed in the order of the page. Python blocks of a page share their
-variables. All pages share two interpreters, so that the package is imported twice, not once a command: one executes
-Python, the other one the lines `hframe ...`, which find nothing that Python has registered. The working directory is
-a temporary folder that contains the repository as links, so `examples/rig_a` exists and `out/` is discarded. Blocks
-are slow if they call a command of `SLOW_COMMANDS`, or if the line `<!-- slow -->` precedes them. A block whose first
-line is `# Not executed in the tests: REASON` is skipped. Lines that install something are skipped as well.
+Blocks of the languages `python` and `sh` are executed in the order of the page. Python blocks of a page share
+their variables. All pages share two interpreters, so that the package is imported twice, not once a command:
+one executes Python, the other one the lines `hframe ...`, which find nothing that Python has registered. The
+working directory is a temporary folder that contains the repository as links, so `examples/rig_a` exists and
+`out/` is discarded. Blocks are slow if they call a command of `SLOW_COMMANDS`, or if the line `<!-- slow -->`
+precedes them. A block whose first line is `# Not executed in the tests: REASON` is skipped. Lines that
+install something are skipped as well.
 """
 
 from __future__ import annotations
@@ -99,7 +100,7 @@ def _run_python(block: Block, page: Path) -> None:
 
 
 def _run_shell(block: Block, page: Path) -> None:
-    """Execute a block of the shell: commands of this package in this process, if there are only such, or by bash."""
+    """Execute a block of the shell: commands of this package in this process, if all are such, or by bash."""
     code = "\n".join(line for line in block.code.splitlines() if not _INSTALLATION.match(line))
     lines = [line for line in code.replace("\\\n", "").splitlines() if line.strip()]
     if not all(_SIMPLE_COMMAND.fullmatch(line) for line in lines):

@@ -1,13 +1,14 @@
-"""Check that constraints.txt pins every dependency, and list the licenses of the dependencies in docs/dependencies.md.
+"""Check that constraints.txt pins every dependency, and list their licenses in docs/dependencies.md.
 
     python -m tools.dependencies [--check] [--resolved FILE]
 
-Without an option, missing pins are added to constraints.txt and the table of docs/dependencies.md is written. With
-one, nothing is written: the exit code is 1, and one line per problem says what is wrong.
+Without an option, missing pins are added to constraints.txt and the table of docs/dependencies.md is written.
+With one, nothing is written: the exit code is 1, and one line per problem says what is wrong.
 
-The dependencies are those of the installed packages, followed from the requirements in pyproject.toml. Of extras that
-the extra `dev` does not include, such as `clients`, only the direct requirements are known unless they are installed.
-`make audit` therefore resolves all extras on the package index, and `--resolved` compares the result with the pins.
+The dependencies are those of the installed packages, followed from the requirements in pyproject.toml. Of
+extras that the extra `dev` does not include, such as `clients`, only the direct requirements are known unless
+they are installed. `make audit` therefore resolves all extras on the package index, and `--resolved` compares
+the result with the pins.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ from hframe_gym.files import write_text
 from tools.repository import ROOT
 
 CONSTRAINTS, PAGE = ROOT / "constraints.txt", ROOT / "docs" / "dependencies.md"
-# The build of torch with GPU libraries, which pip installs by default on Linux, names their exact versions itself.
+# The build of torch with GPU libraries, which pip installs by default on Linux, names their exact versions
+# itself.
 _GPU_LIBRARIES = ("cuda-", "nvidia-", "triton")
 _HEADER = ("| package | version | license | extra |", "| --- | --- | --- | --- |")
 _TABLE = re.compile(r"<!-- dependencies -->\n.*?<!-- end -->", re.DOTALL)
@@ -57,7 +59,8 @@ def requirements_by_extra(project: Mapping[str, Any]) -> tuple[dict[str, list[Re
         project: The table `project` of pyproject.toml.
 
     Returns:
-        requirements: Requirements by extra, those without an extra under "core". An extra that includes other extras of
+        requirements: Requirements by extra, those without an extra under "core". An extra that includes other
+        extras of
             the package itself, as `dev` does, does not repeat their requirements.
         installed: The extras that an installation with the extra `dev` includes, with "core" and "dev".
     """
@@ -84,8 +87,8 @@ def installed_dependencies(requirements: Iterable[Requirement]) -> dict[str, met
         requirements: Requirements to start from; those whose marker excludes this platform are ignored.
 
     Returns:
-        Installed distribution by canonical name, direct and indirect ones without GPU libraries; None where a package
-        is not installed.
+        Installed distribution by canonical name, direct and indirect ones without GPU libraries; None where a
+        package is not installed.
     """
     pending = [(requirement, "") for requirement in requirements]
     found: dict[str, metadata.Distribution | None] = {}
@@ -156,7 +159,8 @@ def license_of(distribution: metadata.Distribution) -> str:
         distribution: Installed distribution.
 
     Returns:
-        SPDX expression, where the package states one or its text is known; else the declared text, "unknown" if none.
+        SPDX expression, where the package states one or its text is known; else the declared text, "unknown"
+        if none.
     """
     fields = distribution.metadata
     if "License-Expression" in fields:
@@ -174,7 +178,8 @@ def license_rows(groups: Mapping[str, Mapping[str, metadata.Distribution | None]
     """Format the rows of the table in docs/dependencies.md.
 
     Args:
-        groups: Packages that each extra needs, directly or indirectly: distribution by canonical name, by extra.
+        groups: Packages that each extra needs, directly or indirectly: distribution by canonical name, by
+            extra.
 
     Returns:
         Row in Markdown by canonical name. A package is listed once, with the first extra that needs it.

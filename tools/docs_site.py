@@ -2,8 +2,9 @@
 
     make docs    # or: python -m mkdocs build --strict
 
-Links in docs/ are relative to the repository, so that the pages also work where they are read as files. On the site,
-links to files outside docs/ become links to their page, if they have one, or the plain path of the file.
+Links in docs/ are relative to the repository, so that the pages also work where they are read as files. On
+the site, links to files outside docs/ become links to their page, if they have one, or the plain path of the
+file.
 """
 
 from __future__ import annotations

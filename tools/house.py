@@ -2,10 +2,10 @@
 
     python -m tools.house [--list]
 
-`--list` also prints every word that counts, every function without docstring, every array without a shape and number
-without a unit, and every method that overrides another without saying so. tests/test_house.py holds the limits on
-these. Sizes are printed, not limited: a module is one idea and a function does one thing, with the length that this
-needs.
+`--list` also prints every word that counts, every function without docstring, every array without a shape and
+number without a unit, and every method that overrides another without saying so. tests/test_house.py holds
+the limits on these. Sizes are printed, not limited: a module is one idea and a function does one thing, with
+the length that this needs.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ _EXEMPT_DECORATORS = ("property", "cached_property", "overload", "setter", "over
 _COMMAND_DECORATORS = ("command", "callback")  # Typer prints the docstring; each option has its help text
 _PROPERTY_DECORATORS = ("property", "cached_property")
 
-# Annotations of arrays, and of quantities that may be arrays. Their description states a shape, "shape (n, drives)" or
-# "any shape"; where many operands have the same one, the text above the sections may state it.
+# Annotations of arrays, and of quantities that may be arrays. Their description states a shape,
+# "shape (n, drives)" or "any shape"; where many operands have the same one, the text above the sections may
+# state it.
 _ARRAY = re.compile(r"\b(Array|ArrayLike|NDArray|Positions|Tensor)\b")
 _NUMBER = re.compile(r"float( \| None)?|tuple\[float(, float)*\]")
 # The description of a number states its unit, ", m/s" or "in the unit of ...", or says that it has none.
@@ -81,16 +82,16 @@ class Function:
         return not exempt and ast.get_docstring(self.node) is None
 
     def vague_entries(self) -> list[str]:
-        """Return the arrays of which the docstring states no shape, and the numbers of which it states no unit.
+        """Return the arrays whose shape the docstring does not state, and the numbers without a unit.
 
-        An argument is described by its entry in Args, or in the text if this names it in backquotes; a result by
-        Returns, or by the text. A named type of `hframe_gym.arrays` states shape and unit itself. An override may
-        leave out what the base class says. A parameter without annotation counts as an array. A class that holds arrays
-        states their shapes once, at its attributes.
+        An argument is described by its entry in Args, or in the text if this names it in backquotes; a result
+        by Returns, or by the text. A named type of `hframe_gym.arrays` states shape and unit itself. An
+        override may leave out what the base class says. A parameter without annotation counts as an array. A
+        class that holds arrays states their shapes once, at its attributes.
 
         Returns:
-            Entries as "name: no shape", "name: no unit", "name: not described"; the name is "Returns" for results and
-            properties.
+            Entries as "name: no shape", "name: no unit", "name: not described"; the name is "Returns" for
+            results and properties.
         """
         docstring = ast.get_docstring(self.node)
         if docstring is None or self._decorators().intersection(_COMMAND_DECORATORS):
@@ -132,7 +133,8 @@ class House:
     Attributes:
         lines: Number of lines of all modules.
         words: Occurrences of `WORDS` as "path:line: word".
-        modules: Number of lines by module of hframe_gym without effects/, agents and the packages' __init__ files.
+        modules: Number of lines by module of hframe_gym without effects/, agents and the packages' __init__
+            files.
         packages: Number of lines by __init__ file of the same packages.
         module_lines: Number of lines by module, all of them.
         docstring_lines: Number of lines of docstrings by module.
@@ -158,8 +160,8 @@ class House:
     def public_functions(self) -> list[Function]:
         """Return the public functions whose docstrings must state shapes and units.
 
-        Effects document their formulas in one line each; the formulas of registers have the contract of the functions
-        of the same name in `elementwise`.
+        Effects document their formulas in one line each; the formulas of registers have the contract of the
+        functions of the same name in `elementwise`.
         """
         return [
             f
@@ -186,7 +188,7 @@ class House:
 
     @property
     def vague(self) -> list[str]:
-        """Return the public functions' arrays without a shape and floats without a unit, "path:line: name (...)"."""
+        """Return public functions' arrays without shape and floats without unit, "path:line: name (...)"."""
         return [
             f"{_where(f)} ({', '.join(vague)})" for f in self.public_functions if (vague := f.vague_entries())
         ]
@@ -290,7 +292,7 @@ def _entries(section: str) -> dict[str, str]:
 
 
 def _last_name(expression: ast.expr) -> str:
-    """Return the last part of a dotted name, without arguments or subscripts: "Base" of `module.Base[int]`."""
+    """Return a dotted name's last part, without arguments or subscripts: "Base" of `module.Base[int]`."""
     return re.split(r"[(\[]", ast.unparse(expression))[0].rpartition(".")[2]
 
 

@@ -2,8 +2,9 @@
 
     python -m tools.make_examples
 
-Two rigs of the same type are recorded for one session of identification runs each. `examples/rig_a` has one effect that
-no machine file declares; `examples/rig_b` is the same rig without it. The seed is fixed, so the files are always equal.
+Two rigs of the same type are recorded for one session of identification runs each. `examples/rig_a` has one
+effect that no machine file declares; `examples/rig_b` is the same rig without it. The seed is fixed, so the
+files are always equal.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from tests.rigs.excitation import ExcitationRun, record_runs
 from tools.command_line import command_line
 from tools.repository import ROOT
 
-# True parameters: each differs by 5 to 15 % from the declared (the paper's) one, and the motors differ from each other.
+# True parameters: each differs by 5 to 15 % from the declared (the paper's) one, and the motors differ from
+# each other.
 TRUE_RIG = Rig(
     mass=(4.50, 0.96, 1.25e-4, 1.03e-4),
     viscous=(36.0, 32.0, 0.0040, 0.0033),
@@ -43,17 +45,18 @@ COLUMNS = "time_s,v1_V,v2_V,phi1_rad,phi2_rad,x_m,y_m"
 
 README = """# Example recordings
 
-Eight runs of 2.5 s at 1 kHz of each of two H-frame stages of the same type, `rig_a` and `rig_b`. The parameters of
-both differ from those of the machine file. One, both or none of them may also have an effect that the machine file does
-not declare:
+Eight runs of 2.5 s at 1 kHz of each of two H-frame stages of the same type, `rig_a` and `rig_b`. The
+parameters of both differ from those of the machine file. One, both or none of them may also have an effect
+that the machine file does not declare:
 
     hframe identify examples/rig_a --out out/rig_a
     hframe identify examples/rig_b --out out/rig_b
 
-The recordings are simulated, but not by the simulator of `hframe_gym`. The simulator in `tests/reference_simulator/`
-shares no code and no numerical method with it: friction is event-driven, with an adaptive Runge-Kutta pair at tight
-tolerances between the events. `python -m tools.make_examples` writes the recordings again, byte for byte with the same
-versions of NumPy and zlib. That script also defines what each rig hides.
+The recordings are simulated, but not by the simulator of `hframe_gym`. The simulator in
+`tests/reference_simulator/` shares no code and no numerical method with it: friction is event-driven, with an
+adaptive Runge-Kutta pair at tight tolerances between the events. `python -m tools.make_examples` writes the
+recordings again, byte for byte with the same versions of NumPy and zlib. That script also defines what each
+rig hides.
 
 ## Columns
 
@@ -66,9 +69,10 @@ versions of NumPy and zlib. That script also defines what each rig hides.
 
 An encoder step at the belt pulley is 2 pi / (512 x 4 x 5.9): 512 lines, four edges, gear ratio 5.9.
 
-A run starts at rest with 0.1 s at 0 V and unstretched belts: r phi1 = -x - y, r phi2 = x - y. Odd runs are open loop
-(steps, square waves, slow ramps, chirps, multi-sines). Even runs are recorded under a simple position controller with
-dither. The voltages stay within 8 V and the carriage within 0.25 m (x) and 0.16 m (y) of the middle.
+A run starts at rest with 0.1 s at 0 V and unstretched belts: r phi1 = -x - y, r phi2 = x - y. Odd runs are
+open loop (steps, square waves, slow ramps, chirps, multi-sines). Even runs are recorded under a simple
+position controller with dither. The voltages stay within 8 V and the carriage within 0.25 m (x) and 0.16 m
+(y) of the middle.
 """
 
 

@@ -1,14 +1,16 @@
-"""Mutation testing: change one operator, number or condition at a time, and count the changes that a test notices.
+"""Mutation testing: change one operator, number or condition at a time, and count those that a test notices.
 
     python -m tools.mutation [--count 150] [--seed 0] [--file PART_OF_A_PATH] [--list]
 
-The mutants are a random sample of all mutants of `TARGETS`: the equations, the formulas of the effects, the selection
-of effects and the verdict. Each is tested with tests that take a second, in a copy of the repository, so that the
-working tree stays as it is. The result goes to out/mutation/report.json; a table is printed.
+The mutants are a random sample of all mutants of `TARGETS`: the equations, the formulas of the effects, the
+selection of effects and the verdict. Each is tested with tests that take a second, in a copy of the
+repository, so that the working tree stays as it is. The result goes to out/mutation/report.json; a table is
+printed.
 
-Neither mutmut nor cosmic-ray fits this package. mutmut 3 replaces functions by wrappers, but the formulas are called by
-the names of their arguments, traced, and compiled by Numba. cosmic-ray starts an interpreter per mutant, and importing
-Numba and SciPy takes longer than the tests; here a process that has imported them forks for each mutant.
+Neither mutmut nor cosmic-ray fits this package. mutmut 3 replaces functions by wrappers, but the formulas are
+called by the names of their arguments, traced, and compiled by Numba. cosmic-ray starts an interpreter per
+mutant, and importing Numba and SciPy takes longer than the tests; here a process that has imported them forks
+for each mutant.
 
 Mutants that change no result are listed with the reason in `EQUIVALENT`; they do not count.
 """
@@ -48,7 +50,8 @@ _DECISIONS = (
     # This one simulates.
     f"--deselect={_EVALUATION}::test_a_fit_that_explains_everything_does_not_lead_to_no_effect",
 )
-# Files, relative to hframe_gym/, and the tests of each, which neither compile nor simulate; a pattern matches several.
+# Files, relative to hframe_gym/, and the tests of each, which neither compile nor simulate; a pattern matches
+# several.
 TARGETS: dict[str, tuple[str, ...]] = {
     "dynamics/physics/equations.py": _EQUATIONS,
     "dynamics/physics/belts.py": _EQUATIONS,
@@ -134,11 +137,12 @@ def mutants_of(file: str, text: str, functions_only: bool) -> list[Mutant]:
     Args:
         file: Path relative to the repository.
         text: Text of the file.
-        functions_only: Whether to leave out what is outside functions (the declaration of an effect's parameters).
+        functions_only: Whether to leave out what is outside functions (the declaration of an effect's
+            parameters).
 
     Returns:
-        Mutants in the order of the lines. Texts (messages, docstrings), annotations, decorators and `strict` of zip
-        are not changed.
+        Mutants in the order of the lines. Texts (messages, docstrings), annotations, decorators and `strict`
+        of zip are not changed.
     """
     tree, lines = ast.parse(text), text.splitlines()
     mutants = []

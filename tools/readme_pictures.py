@@ -5,10 +5,11 @@
     python -m tools.readme_pictures --only report
     python -m tools.readme_pictures --only scorecard
 
-The animation, docs/figures/controllers.webp, shows the model-based controller `pid` and the shipped agent `ppo` on the
-same episodes, drawn by the environment's renderer. The report, docs/figures/report_page.png, is the upper part of the
-page that `hframe identify examples/rig_a` writes, as headless Chromium displays it; it needs Chromium, and 15 to 60 s
-for the identification. The scorecard, docs/figures/scorecard_page.png, compares two controllers in 64 episodes.
+The animation, docs/figures/controllers.webp, shows the model-based controller `pid` and the shipped agent
+`ppo` on the same episodes, drawn by the environment's renderer. The report, docs/figures/report_page.png, is
+the upper part of the page that `hframe identify examples/rig_a` writes, as headless Chromium displays it; it
+needs Chromium, and 15 to 60 s for the identification. The scorecard, docs/figures/scorecard_page.png,
+compares two controllers in 64 episodes.
 """
 
 from __future__ import annotations

@@ -2,10 +2,11 @@
 
     python -m tools.sample_functions [--seed 12] [--count 30] [--source]
 
-The reader answers for each function: are arguments, result, shapes and units documented, and is it understood at first
-reading? The same seed and the same source tree give the same sample. A property reads as an attribute: its docstring
-describes the value in one sentence, without sections. The docstring of a command is its help page; the help texts of
-its options, printed behind it, describe its arguments. Words in braces such as {tasks} become lists of names there.
+The reader answers for each function: are arguments, result, shapes and units documented, and is it understood
+at first reading? The same seed and the same source tree give the same sample. A property reads as an
+attribute: its docstring describes the value in one sentence, without sections. The docstring of a command is
+its help page; the help texts of its options, printed behind it, describe its arguments. Words in braces such
+as {tasks} become lists of names there.
 """
 
 from __future__ import annotations
@@ -48,7 +49,8 @@ def option_helps(function: Function, root: Path = ROOT) -> dict[str, str]:
     """Collect the help texts of a command's options (typer), which describe its arguments.
 
     Args:
-        function: Any function. Its arguments may be annotated with an alias such as `OutOption` of hframe_gym/cli/.
+        function: Any function. Its arguments may be annotated with an alias such as `OutOption` of
+            hframe_gym/cli/.
         root: Repository that contains its file.
 
     Returns:
@@ -85,7 +87,8 @@ def describe(function: Function, *, root: Path = ROOT, source: bool = False) -> 
         source: Whether to print the complete source instead of signature and docstring.
 
     Returns:
-        Heading with file and line, then the signature, the docstring and, for a command, its options; or the source.
+        Heading with file and line, then the signature, the docstring and, for a command, its options; or the
+        source.
     """
     node = function.node
     heading = f"{function.path}:{node.lineno}  {function.name}"

@@ -1,8 +1,8 @@
 """Run the tasks of this repository on any operating system: `python -m tools.tasks TASK`.
 
 The first task installs the package and its development tools into the folder .venv, with the versions of
-constraints.txt; later ones do so again only if pyproject.toml or constraints.txt has changed. The Makefile's targets
-`demo`, `test` and `check` call these tasks. Only the standard library is needed.
+constraints.txt; later ones do so again only if pyproject.toml or constraints.txt has changed. The Makefile's
+targets `demo`, `test` and `check` call these tasks. Only the standard library is needed.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from tools.repository import ROOT
 ENVIRONMENT = ROOT / ".venv"
 PROGRAMS, SUFFIX = (ENVIRONMENT / "Scripts", ".exe") if os.name == "nt" else (ENVIRONMENT / "bin", "")
 INSTALLED = ENVIRONMENT / ".installed"
-# torch comes first and separately: the requirement of another package would install the build with GPU libraries.
+# torch comes first and separately: the requirement of another package would install the build with GPU
+# libraries.
 PACKAGES = (("torch==2.13.0",), ("-e", ".[dev]"))
 
 
@@ -34,8 +35,8 @@ def run(program: str, *words: str) -> None:
         SystemExit: With the exit code of the program, if it is not 0.
     """
     print(subprocess.list2cmdline([program, *words]), flush=True)
-    # The installation leaves modules uncompiled. With this variable, every process would compile what it imports again:
-    # `import torch` takes 4 s instead of 2 s.
+    # The installation leaves modules uncompiled. With this variable, every process would compile what it
+    # imports again: `import torch` takes 4 s instead of 2 s.
     environment = {name: text for name, text in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     command = [f"{PROGRAMS / program}{SUFFIX}", *words]
     code = subprocess.run(command, cwd=ROOT, env=environment).returncode
@@ -60,7 +61,8 @@ def install() -> None:
             "install",
             "-q",
             "--disable-pip-version-check",
-            # pip would compile all 17,000 modules one after the other, 50 s; Python compiles those that are imported.
+            # pip would compile all 17,000 modules one after the other, 50 s; Python compiles those that are
+            # imported.
             "--no-compile",
             "-c",
             "constraints.txt",
@@ -70,7 +72,7 @@ def install() -> None:
 
 
 def link_agents() -> None:
-    """Make the folder agents/ visible as hframe_gym/agents: mypy and import-linter look for the package there."""
+    """Make the folder agents/ visible as hframe_gym/agents, where mypy and import-linter look for it."""
     link = ROOT / "hframe_gym" / "agents"
     if link.exists() or os.path.islink(link):
         return

@@ -217,12 +217,12 @@ class Stage:
         return work
 
     def outcome_after_kill(self, job: Job, work: Path) -> str:
-        """Return "old", "new" or what a command that reads the output finds instead; unfinished files do not count."""
+        """Return "old", "new" or what a command that reads the output finds, without unfinished files."""
         complete_commit(work / job.output)
         return self.outcome(job, work, without_stages(contents(work)))
 
     def outcome_for_next_writer(self, job: Job, work: Path) -> str:
-        """Return "old", "new" or what the next command that writes to the folder finds: unfinished files are gone."""
+        """Return "old", "new" or what the next command that writes there finds: unfinished files are gone."""
         with locked_folder(work if job.name == "simulate" else work / job.output):
             pass
         return self.outcome(job, work)

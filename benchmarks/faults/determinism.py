@@ -1,4 +1,4 @@
-"""The same command and seed under other conditions: every byte of the answer must be the same, times left out."""
+"""The same command and seed under other conditions: each byte of the answer must be equal, times left out."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ CONDITIONS: dict[str, Mapping[str, str]] = {
 
 
 def answers(command: str, condition: str, folder: Path) -> dict[str, bytes]:
-    """Run a command under a condition and return the bytes of its answer by file, without the line of seconds."""
+    """Run a command under a condition and return its answer, bytes by file, without the line of seconds."""
     folder.mkdir(parents=True)
     variables = {
         key: value.replace("EMPTY", str(folder / "cache")) for key, value in CONDITIONS[condition].items()

@@ -88,7 +88,7 @@ def _nothing_half(folder: Path) -> str:
 
 
 def _full_cache(stage: Stage, log: Log) -> Row:
-    """Run commands whose cache of compiled code is on a full disk; another folder must serve, with a message."""
+    """Run commands with their compiled code on a full disk; another folder must serve, with a message."""
     failures = []
     for name in ("simulate", "evaluate"):
         job = JOBS[name]
@@ -125,7 +125,7 @@ def _read_only_work(stage: Stage, log: Log) -> Row:
 
 
 def _read_only_home(stage: Stage, log: Log) -> Row:
-    """Run each command with a read-only HOME and a read-only package, both without a cache of compiled code."""
+    """Run each command with a read-only HOME and a read-only package, both without cached compiled code."""
     failures = []
     package = stage.folder / "package"
     shutil.copytree(

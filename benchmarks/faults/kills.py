@@ -37,7 +37,7 @@ Log = Callable[[str], None]
 
 
 def kills(stage: Stage, log: Log) -> list[Row]:
-    """Kill commands at random moments, half of them in the last third of the run, where the output is written."""
+    """Kill commands at random moments, half of them in a run's last third, where the output is written."""
     rng = np.random.default_rng(SEED)
     rows = []
     for name, count in KILLS.items():
@@ -127,7 +127,7 @@ def _killed_training(stage: Stage, rng: np.random.Generator, log: Log) -> Row:
 
 
 def _is_result(name: str) -> bool:
-    """Return whether a file of training is to be equal; the others hold times, versions of formats and states."""
+    """Return whether a file of training must be equal; the others hold times, versions and states."""
     return Path(name).name in ("agent.json", "machine.json", "policy.safetensors", "card.json")
 
 
@@ -210,7 +210,7 @@ def collisions(stage: Stage, log: Log) -> list[Row]:
 
 
 def _wait_for_lock(folder: Path, process: subprocess.Popen[str]) -> None:
-    """Wait until a process has the lock file of the folder open, which it has while it has the folder locked."""
+    """Wait until a process has the folder's lock file open, which it has while the folder is locked."""
     lock = str((folder / STAGE / "lock").resolve())
     while process.poll() is None:
         links = Path(f"/proc/{process.pid}/fd").glob("*")

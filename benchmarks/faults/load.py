@@ -1,4 +1,4 @@
-"""Very many environments and workers, very long recordings, very many runs, and identifications side by side."""
+"""Many environments and workers, long recordings, many runs, and identifications side by side."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ def write_many_runs(folder: Path) -> None:
 
 
 def write_long_run(folder: Path) -> None:
-    """Write one recording of two hours at 10 kHz, moves of 10 s with rests between them, and three short ones."""
+    """Write a recording of two hours at 10 kHz, moves of 10 s and rests between them, and 3 short ones."""
     import pyarrow as arrow
     from pyarrow import parquet
 

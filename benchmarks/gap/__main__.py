@@ -1,11 +1,11 @@
-"""How well does a controller close the gap to a plant that its model does not describe? The protocol `gap-v1`.
+"""How far does a controller close the gap to a plant that its model does not describe? The protocol `gap-v1`.
 
     python -m benchmarks.gap run pid pid-corrected my.module:MyEntry    # scores go to benchmarks/gap/results
     python -m benchmarks.gap run my_reach.zip+my_track.zip      # saved policies, for moves and for paths
     python -m benchmarks.gap run pid --plants 0 1 --out DIR             # some plants, another folder
     python -m benchmarks.gap run pid --seed 48000 --out DIR             # other plants, such as a held set
     python -m benchmarks.gap table         # write benchmarks/results/gap.json from the result files
-    python -m benchmarks.gap trained --out DIR    # from NAME-trained and NAME-corrected: results/gap_trained.json
+    python -m benchmarks.gap trained --out DIR    # NAME-trained and NAME-corrected: results/gap_trained.json
     python -m benchmarks.gap list | plants | bounds | picture
 
 A run that ends early continues where it ended. Identified machines and trained agents are kept in out/gap.

@@ -2,10 +2,11 @@
 
     python -m benchmarks.gap bounds
 
-The time-optimal control problem is solved for the machine of the package with the true parameters of the plant and
-those of its undeclared effects that the problem supports (docs/bound.md); other effects and the residue are left out.
-Such an effect changes what is possible by little against what controllers lose, but a bound without it is an
-approximation: the file names what is left out. Moves that are not solved have no bound.
+The time-optimal control problem is solved for the machine of the package with the true parameters of the
+plant and those of its undeclared effects that the problem supports (docs/bound.md); other effects and the
+residue are left out. Such an effect changes what is possible by little against what controllers lose, but a
+bound without it is an approximation: the file names what is left out. Moves that are not solved have no
+bound.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Run a controller on a plant: episodes of a task, side by side, with the plant's sensors, converters and loads."""
+"""Run a controller on a plant: a task's episodes, side by side, with its sensors, converters and loads."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def _positions(stages: list[Stage]) -> Array:
 
 
 class _Measurement:
-    """Sensors of a plant in control: graduation, delay, noise, quantization and the residue's colored noise."""
+    """Sensors of a plant in control: graduation, delay, noise, quantization and residual colored noise."""
 
     def __init__(self, plant: GapPlant, count: int, rng: np.random.Generator) -> None:
         self._sensors: Sensors = plant.stage[1]

@@ -1,26 +1,27 @@
 """Entries: the interface of what can be scored, and the entries of the repository.
 
-An entry is a class. The protocol makes one object per plant, calls `prepare` once, `practice` after each practice
-episode of the online track, and `controller` once per task. A class of your own is named `package.module:Class` on the
-command line.
+An entry is a class. The protocol makes one object per plant, calls `prepare` once, `practice` after each
+practice episode of the online track, and `controller` once per task. A class of your own is named
+`package.module:Class` on the command line.
 
 | name | track | what controls the plant |
 |---|---|---|
 | `pid`, `predictive`, `adaptive-pid`, `textbook-pid` | zero-shot | designed from the declared machine |
-| `ppo_mix`, `apg_mix`, `residual`, `sac`, ... | zero-shot | shipped agents, with laws of the declared machine |
-| `NAME-drift` | zero-shot | NAME; its state estimator also estimates errors of the encoders, which wander slowly |
+| `ppo_mix`, `apg_mix`, `residual`, `sac`, ... | zero-shot | agents with laws of the declared machine |
+| `NAME-drift` | zero-shot | NAME; its state estimator also estimates slow errors of the encoders |
 | `NAME-refitted` | identified | NAME, designed from the machine whose own parameters are refitted |
 | `NAME-corrected` | identified | NAME, designed from the machine with the effects that identification found |
 | `NAME-posterior` | identified | the same; the state estimator begins with the posterior of the parameters |
-| `NAME-online` | online | parameters that NAME's estimator finds in practice are kept from one episode to the next |
-| `REACH+TRACK` | zero-shot | two policies of yours: files `model.zip` or folders of `hframe train` (`saved_policies`) |
-| `ppo-trained`, `ppo_mix-trained`, `apg-trained`, ... | identified | agents, trained on the corrected machine |
+| `NAME-online` | online | NAME's estimator keeps the parameters that it finds in practice |
+| `REACH+TRACK` | zero-shot | two policies of yours: `model.zip` or `hframe train` (`saved_policies`) |
+| `ppo-trained`, `ppo_mix-trained`, `apg-trained`, ... | identified | trained on the corrected machine |
 
-State estimators of identified entries take the encoders for sensors that drift if the held-out recordings are then more
-probable (`encoders_drift`).
+State estimators of identified entries take the encoders for sensors that drift if the held-out recordings are
+then more probable (`encoders_drift`).
 
-The weights of an agent NAME are those of seed 0; `NAME-seed1-corrected` and the like are those of other seeds, which
-`hframe train` trains first where the package does not ship them (`benchmarks.agent_seeds.agent_folder`).
+The weights of an agent NAME are those of seed 0; `NAME-seed1-corrected` and the like are those of other
+seeds, which `hframe train` trains first where the package does not ship them
+(`benchmarks.agent_seeds.agent_folder`).
 """
 
 from __future__ import annotations
@@ -59,8 +60,9 @@ MODELS = ("refitted", "corrected", "posterior")
 VARIANTS = ("drift", *MODELS, "online")
 # Relative standard deviation, added to the posterior: what identification cannot know, such as heat and wear.
 _FLOOR = 0.02
-# PPO continues a policy with a critic of random weights. At the learning rate of `ppo_mix_reach`, 1e-3, first updates
-# slow moves on the machine of plant 0 by 5 %, which training does not make up; at this one they become 5 % faster.
+# PPO continues a policy with a critic of random weights. At the learning rate of `ppo_mix_reach`, 1e-3, first
+# updates slow moves on the machine of plant 0 by 5 %, which training does not make up; at this one they
+# become 5 % faster.
 _CONTINUED = {"learning_rate": [3e-4, 1e-5], "target_kl": 0.02}
 
 
@@ -86,7 +88,8 @@ class GapEntry(ABC):
         Args:
             declared: Declared machine.
             recorder: Recorder of the plant; it refuses on the zero-shot and the online track.
-            folder: Folder of the plant, in which results of long work may be kept under the name of the entry.
+            folder: Folder of the plant, in which results of long work may be kept under the name of the
+                entry.
         """
 
     @abstractmethod
@@ -104,7 +107,8 @@ class GapEntry(ABC):
         """Learn from a practice episode of the online track, which `controller(task)` has controlled.
 
         Args:
-            episodes: The episode, without its true positions: `position` holds the measured ones of each period.
+            episodes: The episode, without its true positions: `position` holds the measured ones of each
+                period.
             controller: The controller after the episode.
         """
         raise NotImplementedError(
@@ -154,7 +158,8 @@ def from_measurements(
     Args:
         controller: Controller from the full state.
         machine: Machine of the estimator.
-        covariance: Covariance of the logarithms of the estimated parameters. Default: that of declared values.
+        covariance: Covariance of the logarithms of the estimated parameters. Default: that of declared
+            values.
         drifting_encoders: Whether the estimator also estimates errors of the encoders, which wander slowly.
 
     Returns:
@@ -167,15 +172,15 @@ def from_measurements(
 
 
 def posterior_covariance(machine: Machine) -> Array | None:
-    """Return the covariance of the logarithms of the parameters that a state estimator estimates, after identification.
+    """Return the covariance of the log parameters that a state estimator estimates, after identification.
 
     Args:
         machine: Identified machine.
 
     Returns:
-        Covariance, shape (k, k); None if the machine has none. A parameter that was not identified, such as the one
-        motor constant that defines the unit of force, has the standard deviation of the floor, 2 %; one that was
-        identified badly has that of a declared value.
+        Covariance, shape (k, k); None if the machine has none. A parameter that was not identified, such as
+        the one motor constant that defines the unit of force, has the standard deviation of the floor, 2 %;
+        one that was identified badly has that of a declared value.
     """
     if machine.uncertainty is None:
         return None
@@ -199,14 +204,15 @@ def _limited(covariance: Array, prior: Array) -> Array:
 
 
 class DesignedEntry(GapEntry):
-    """A controller that is designed from a machine and runs on the estimates of a state estimator of this machine.
+    """A controller that is designed from a machine and runs on its state estimator's estimates.
 
-    `RegisteredController` and `SeededAgent` say how it is designed; `DeclaredMachine`, `IdentifiedMachine` and
-    `OnlineMachine` say which machine it is. An entry is one of each.
+    `RegisteredController` and `SeededAgent` say how it is designed; `DeclaredMachine`, `IdentifiedMachine`
+    and `OnlineMachine` say which machine it is. An entry is one of each.
 
     Attributes:
         machine: Machine of the controller and of the state estimator.
-        covariance: Covariance of the logarithms of the parameters with which the estimator begins; None: the default.
+        covariance: Covariance of the logarithms of the parameters with which the estimator begins; None: the
+            default.
         drifting_encoders: Whether the estimator also estimates errors of the encoders, which wander slowly.
     """
 
@@ -285,8 +291,8 @@ class IdentifiedMachine(DesignedEntry):
     """The machine is identified from the standard session.
 
     Attributes:
-        model: "refitted" (own parameters alone), "corrected" (with effects) or "posterior" (with effects, and the
-            estimator begins with the posterior of the parameters).
+        model: "refitted" (own parameters alone), "corrected" (with effects) or "posterior" (with effects, and
+            the estimator begins with the posterior of the parameters).
     """
 
     model: ClassVar[str] = "corrected"
@@ -326,10 +332,10 @@ class IdentifiedMachine(DesignedEntry):
 
 
 class OnlineMachine(DeclaredMachine):
-    """The machine is the declared one, with the parameters that the state estimator finds in practice episodes.
+    """The machine is the declared one, with the parameters that the estimator finds in practice episodes.
 
-    After each episode the estimated ratios of the parameters become those of the model, and the estimator's covariance
-    becomes its prior of the next episode, widened by the floor.
+    After each episode the estimated ratios of the parameters become those of the model, and the estimator's
+    covariance becomes its prior of the next episode, widened by the floor.
     """
 
     track: Trackname = "online"
@@ -453,7 +459,7 @@ def training_seed(name: str) -> int | None:
 
 
 def entry_names() -> list[str]:
-    """Return the names of the entries of the repository; NAME-seedN... is one of an agent with another seed than 0."""
+    """Return the names of the repository's entries; NAME-seedN... is an agent with another seed than 0."""
     designs = [name for name in CONTROLLERS if not CONTROLLERS.get(name).set_points] + list(AGENTS)
     variants = [f"{name}-{variant}" for name in designs for variant in VARIANTS]
     return [*designs, *variants, *(f"{agent}-trained" for agent in TRAINED)]
@@ -463,7 +469,8 @@ def get_entry(name: str) -> type[GapEntry]:
     """Return the class of an entry.
 
     Args:
-        name: Name of an entry of the repository, `REACH+TRACK` of two saved policies, or `package.module:Class`.
+        name: Name of an entry of the repository, `REACH+TRACK` of two saved policies, or
+            `package.module:Class`.
 
     Returns:
         The class; the protocol makes one object per plant.

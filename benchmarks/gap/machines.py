@@ -1,9 +1,9 @@
 """Identify a plant from its recordings, once: the machines are kept in the folder of the results.
 
-A folder of an identification holds the answer of `hframe identify` and `recordings.json` with a hash of the recordings
-to which it belongs and of the code that identified them. A plant is identified again if either has changed. Searches
-are complete: one that ends after a given processor time finds less on a slower processor, so that an entry's scores
-would depend on the computer.
+A folder of an identification holds the answer of `hframe identify` and `recordings.json` with a hash of the
+recordings to which it belongs and of the code that identified them. A plant is identified again if either has
+changed. Searches are complete: one that ends after a given processor time finds less on a slower processor,
+so that an entry's scores would depend on the computer.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ class Identified(NamedTuple):
         corrected: The same with the effects that were found, and the covariance of the parameters.
         verdict: "effect_found", "no_effect" or "unexplained".
         found: Labels name@site of the effects.
-        left: Error left on held-out runs, in multiples of the sensors' noise; None if the simulation diverges.
+        left: Error left on held-out runs, in multiples of the sensors' noise; None if the simulation
+            diverges.
         cpu_s: Processor time of the identification, s.
         held_out: Names of the runs to which nothing was fitted.
     """

@@ -1,7 +1,7 @@
-"""Draw whether each step of the loop pays: errors with each model of the plant over those with the declared one.
+"""Draw whether each step of the loop pays: errors with each model of the plant over the declared one's.
 
-Points are geometric means over the plants of the ratio to the declared model, with 95 % intervals by a bootstrap
-over the plants and, of agents, the seeds that both have.
+Points are geometric means over the plants of the ratio to the declared model, with 95 % intervals by a
+bootstrap over the plants and, of agents, the seeds that both have.
 """
 
 from __future__ import annotations

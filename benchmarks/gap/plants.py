@@ -1,14 +1,15 @@
 """Draw the plants: stages of the independent simulator with undeclared parameters, effects and a residue.
 
-A plant follows from a seed and an index alone. Its index modulo 4 is the number of its undeclared effects, so that
-every number from zero to three occurs equally often. An effect is one of the library with probability 2/3, otherwise
-one that the library lacks. Every parameter differs from the declared machine by 5 to 20 %. Every second plant of each
-number of effects has a residue: a small error that no single effect is. The sensors are encoders and noisy lasers; the
-drives have 12-bit converters and a current limit of 12 A. The package's simulator takes no part.
+A plant follows from a seed and an index alone. Its index modulo 4 is the number of its undeclared effects, so
+that every number from zero to three occurs equally often. An effect is one of the library with probability
+2/3, otherwise one that the library lacks. Every parameter differs from the declared machine by 5 to 20 %.
+Every second plant of each number of effects has a residue: a small error that no single effect is. The
+sensors are encoders and noisy lasers; the drives have 12-bit converters and a current limit of 12 A. The
+package's simulator takes no part.
 
-Left out are errors of the lasers' scale, skew, straightness and range: they move the goal as it is measured, so that no
-controller could reach the true one. `idler_inertia`, which is another machine rather than a deviation, is left out as
-well, and so is the drift of the recording's clock, which does not act in control.
+Left out are errors of the lasers' scale, skew, straightness and range: they move the goal as it is measured,
+so that no controller could reach the true one. `idler_inertia`, which is another machine rather than a
+deviation, is left out as well, and so is the drift of the recording's clock, which does not act in control.
 """
 
 from __future__ import annotations

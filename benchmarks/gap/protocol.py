@@ -1,11 +1,11 @@
 """The protocol `gap-v1`: its settings, its digest, and how an entry is scored on a plant.
 
-Parts: `reach`, point-to-point moves; `circle` and `square`, paths 50 mm wide at 0.3 m/s. Every plant has its own starts
-and goals, the same for all entries. A move is scored by the time from which on the tool stays within 0.2 mm, over the
-shortest possible time on the plant (`bounds`); a path by the distance of the tool to it. Costs of safety are measured
-besides: the largest belt force, the fraction of commands at the voltage limit, and the fraction of episodes that leave
-the workspace. The published plants are those of one seed; a held set of another seed shows whether an entry was tuned
-to them.
+Parts: `reach`, point-to-point moves; `circle` and `square`, paths 50 mm wide at 0.3 m/s. Every plant has its
+own starts and goals, the same for all entries. A move is scored by the time from which on the tool stays
+within 0.2 mm, over the shortest possible time on the plant (`bounds`); a path by the distance of the tool to
+it. Costs of safety are measured besides: the largest belt force, the fraction of commands at the voltage
+limit, and the fraction of episodes that leave the workspace. The published plants are those of one seed; a
+held set of another seed shows whether an entry was tuned to them.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ PARTS: dict[str, Task] = {
 EPISODES = {"reach": 12, "circle": 4, "square": 4}
 PRACTICE_EPISODES = 8  # moves, of the online track
 SATURATED = 1.0 - 1e-6  # fraction of the rated voltage from which a command counts as at its limit
-# Distance to the moving goal, m, up to which the distance to the path alone counts: 67 ms at 0.3 m/s. A tool that rests
-# on the path would have no error otherwise.
+# Distance to the moving goal, m, up to which the distance to the path alone counts: 67 ms at 0.3 m/s. A tool
+# that rests on the path would have no error otherwise.
 LARGEST_LAG_M = 0.02
 _DECIMALS = 6
 # Fields of the parts of a plant when the protocol was published. Later ones count where they change a plant.
@@ -115,7 +115,7 @@ def _described(part: object) -> str:
 
 
 def as_text(part: Any) -> str:
-    """Return a part of a plant like `repr`, without fields that are newer than the protocol and change no plant."""
+    """Return a part of a plant like `repr`, without fields that are newer and change no plant."""
     if isinstance(part, tuple):
         return f"({', '.join(map(as_text, part))}{',' if len(part) == 1 else ''})"
     if not dataclasses.is_dataclass(part):
@@ -158,8 +158,8 @@ def score(
         known: Results of other entries by plant and key (`GapEntry.key`), which are not computed again.
 
     Returns:
-        By key, as plain data: "values" of all episodes by part and metric, "prepare_cpu_s", "control_us" per episode
-        and period, "about" of the entry, and "key" if it has one.
+        By key, as plain data: "values" of all episodes by part and metric, "prepare_cpu_s", "control_us" per
+        episode and period, "about" of the entry, and "key" if it has one.
 
     Raises:
         InputError: If the entry cannot run.
@@ -219,10 +219,11 @@ def episode_values(episodes: GapEpisodes) -> Values:
         episodes: The B episodes.
 
     Returns:
-        By metric a list of B values. Of moves: `settling_s.1mm`, `settling_s.0.2mm` and `settling_s.0.05mm`, s, None if
-        the tool does not settle, and `final_error_mm`. Of paths: `path_rms_mm` and `path_max_mm`, the distance to the
-        path, or to the moving goal where that ever exceeds `LARGEST_LAG_M`; `lag_max_mm`, the latter. Of both:
-        `belt_force_N`, `saturated` (fraction of commands at the voltage limit) and `left_workspace` (0 or 1).
+        By metric a list of B values. Of moves: `settling_s.1mm`, `settling_s.0.2mm` and `settling_s.0.05mm`,
+        s, None if the tool does not settle, and `final_error_mm`. Of paths: `path_rms_mm` and `path_max_mm`,
+        the distance to the path, or to the moving goal where that ever exceeds `LARGEST_LAG_M`; `lag_max_mm`,
+        the latter. Of both: `belt_force_N`, `saturated` (fraction of commands at the voltage limit) and
+        `left_workspace` (0 or 1).
     """
     values: Values
     if episodes.contour is None:

@@ -1,8 +1,9 @@
 """Record a plant within the budget of the protocol, as an entrant does before it controls the plant.
 
-An entrant takes one of two kinds of recordings: runs with an excitation of its own choice, `CHOSEN_S` of them in total,
-or the given logs of a position controller that follows machine programs, `LOGS_S` in total. All are at 1 kHz, with the
-measurements of encoders and lasers. The runs of a session share a clock, on which the plant warms up.
+An entrant takes one of two kinds of recordings: runs with an excitation of its own choice, `CHOSEN_S` of them
+in total, or the given logs of a position controller that follows machine programs, `LOGS_S` in total. All are
+at 1 kHz, with the measurements of encoders and lasers. The runs of a session share a clock, on which the
+plant warms up.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ RUN_S, RATE_HZ = 2.0, 1000.0
 _LONGEST_RUN_S = 10.0
 _CHANNELS = ("phi1_rad", "phi2_rad", "x_m", "y_m")
 _SETTLING_S = 0.4
-# Maps the time since the beginning of the run, s, and the measurements phi1, phi2, rad, x, y, m, shape (4,), to the
-# voltages of the motors, V, shape (2,).
+# Maps the time since the beginning of the run, s, and the measurements phi1, phi2, rad, x, y, m, shape (4,),
+# to the voltages of the motors, V, shape (2,).
 Excitation = Callable[[float, Array], Array]
 
 
@@ -78,8 +79,8 @@ class Recorder:
         """Record a run of an excitation of your own.
 
         Args:
-            excitation: Function from time, s, and measurements phi1, phi2, rad, x, y, m, shape (4,), to the voltages of
-                the motors, V, shape (2,); limited to 8 V. In the first 0.1 s they are 0.
+            excitation: Function from time, s, and measurements phi1, phi2, rad, x, y, m, shape (4,), to the
+                voltages of the motors, V, shape (2,); limited to 8 V. In the first 0.1 s they are 0.
             start_xy: Position at which the stage is set up, m.
             duration_s: Length of the run, s, at most 10.
 
@@ -113,7 +114,7 @@ class Recorder:
         )
 
     def logs(self) -> tuple[Recording, ...]:
-        """Return the given closed-loop logs: 30 runs of 2 s of machine programs, in place of chosen excitation.
+        """Return the given closed-loop logs: 30 runs of 2 s of machine programs, not of chosen excitation.
 
         Raises:
             InputError: If chosen excitation was recorded, or the track of the entry allows no recordings.
@@ -174,7 +175,7 @@ class Recorder:
 
 
 def standard_session(recorder: Recorder) -> tuple[Recording, ...]:
-    """Record the session of the repository's entries: eight runs of 2 s, each kind of excitation once or twice.
+    """Record the session of the repository's entries: eight runs of 2 s, each excitation once or twice.
 
     Args:
         recorder: Recorder with its whole budget.

@@ -1,8 +1,8 @@
-"""Result files of `gap-v1`: one JSON file per entry, with the values of all episodes; scores follow from them.
+"""Result files of `gap-v1`: one JSON file per entry, with all episodes' values, from which scores follow.
 
-A file names the protocol and its digest, the entry with a hash of its source, and the versions of the packages. It is
-written after every plant, so that a run that ends early continues where it ended. Reading it checks schema, digest and
-checksum, and that no move is much faster than its bound.
+A file names the protocol and its digest, the entry with a hash of its source, and the versions of the
+packages. It is written after every plant, so that a run that ends early continues where it ended. Reading it
+checks schema, digest and checksum, and that no move is much faster than its bound.
 """
 
 from __future__ import annotations
@@ -30,8 +30,9 @@ from tools.repository import ROOT
 SCHEMA = 1
 SETTLED = "settling_s.0.2mm"
 RESAMPLES, BOOTSTRAP_SEED = 4000, 0
-# A move is impossible if it takes less than this part of its bound, minus a sample of 1 ms. The bound leaves out
-# effects that the optimization does not support; one that drives, such as a magnet, can make a move a little faster.
+# A move is impossible if it takes less than this part of its bound, minus a sample of 1 ms. The bound leaves
+# out effects that the optimization does not support; one that drives, such as a magnet, can make a move a
+# little faster.
 _POSSIBLE, _SAMPLE_S = 0.9, 1.1e-3
 DECIDES = {"reach": SETTLED, "circle": "path_rms_mm", "square": "path_rms_mm"}
 
@@ -62,7 +63,7 @@ def new_content(name: str, entry: type[GapEntry], seed: int) -> dict[str, Any]:
 
 
 def commit() -> str | None:
-    """Return the commit of this checkout, with "-dirty" where files differ from it; None if it is no checkout."""
+    """Return this checkout's commit, with "-dirty" where files differ from it; None if it is no checkout."""
     git = shutil.which("git")
     if git is None:
         return None

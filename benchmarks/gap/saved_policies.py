@@ -2,12 +2,13 @@
 
     python -m benchmarks.gap run my_reach.zip+my_track.zip            # trained on the full state
     python -m benchmarks.gap run my_reach.zip+my_track.zip@machine    # trained with sensors="machine"
-    python -m benchmarks.gap run my_agent       # a folder with folders reach and track, or reach.zip and track.zip
+    python -m benchmarks.gap run my_agent       # a folder with reach and track, or reach.zip and track.zip
 
-The first controls the moves, the second, which was trained on the task `track`, circles and squares. Policies that were
-trained on the full state observe the estimates of the package's state estimator of the declared machine, those that
-were trained with `sensors="machine"` the measurements of the plant and their rates. The lasers of "rig" have a range of
-100 mm, those of the plants see the whole workspace. The files of models do not say which sensors they observe.
+The first controls the moves, the second, which was trained on the task `track`, circles and squares. Policies
+that were trained on the full state observe the estimates of the package's state estimator of the declared
+machine, those that were trained with `sensors="machine"` the measurements of the plant and their rates. The
+lasers of "rig" have a range of 100 mm, those of the plants see the whole workspace. The files of models do
+not say which sensors they observe.
 """
 
 from __future__ import annotations
@@ -66,9 +67,10 @@ class SavedPolicies(GapEntry):
 
 
 class MeasuredRates(Controller):
-    """A controller that also observes the rates of the measurements, as in an environment that observes sensors.
+    """A controller that also observes the measurements' rates, as in an environment that observes sensors.
 
-    A rate is the difference of the last two measurements over the control period, zero when an episode begins.
+    A rate is the difference of the last two measurements over the control period, zero when an episode
+    begins.
     """
 
     feedback = "observation"

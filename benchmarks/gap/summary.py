@@ -65,16 +65,16 @@ def of_same_seeds(
 
 
 def summarize(contents: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """Compute the scores of all entries, with 95 % intervals over plants and seeds, and comparisons between them.
+    """Compute all entries' scores, with 95 % intervals over plants and seeds, and comparisons between them.
 
     Args:
         contents: Result files by name, all of one set of plants.
 
     Returns:
-        By key, as plain data: "entries" with the scores, "steps" with the comparison of each model with the declared
-        one (by controller and part), "learned" with the comparison of the best learned entry with the best other one
-        (by track and part), "scored_by" with the code that scored which plants, and "plants" with what they hide and
-        what was identified.
+        By key, as plain data: "entries" with the scores, "steps" with the comparison of each model with the
+        declared one (by controller and part), "learned" with the comparison of the best learned entry with
+        the best other one (by track and part), "scored_by" with the code that scored which plants, and
+        "plants" with what they hide and what was identified.
     """
     files = by_entry(contents)
     entries = {name: _scores(of_seeds) for name, of_seeds in files.items()}
@@ -109,7 +109,7 @@ def _learned_against_other(files: Files, entries: dict[str, Any]) -> dict[str, A
 
 
 def _best(entries: dict[str, Any], learned: bool, measure: str) -> str:
-    """Return the name of the best entry, learned or not, of those with the most plants; "" if there is none."""
+    """Return the best entry's name, learned or not, of those with the most plants; "" if there is none."""
     chosen = {name: s for name, s in entries.items() if s["learned"] == learned}
     most = max((s["plants"] for s in chosen.values()), default=0)  # those of fewer may be the easier ones
     names = [name for name, s in chosen.items() if s["plants"] == most]
@@ -151,7 +151,7 @@ def _scores(of_seeds: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _scored_by(contents: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return which entries were scored on which plants by which commit, or, if a row names none, by which version."""
+    """Return which entries were scored on which plants by which commit or, without one, by which version."""
     plants: dict[tuple[str, str], list[int]] = {}
     for name, content in contents.items():
         for row in content["plants"]:
@@ -203,10 +203,10 @@ def trained_against_corrected(contents: dict[str, dict[str, Any]]) -> dict[str, 
         contents: Result files by the name of the entry: pairs NAME-trained and NAME-corrected.
 
     Returns:
-        "rows", one per agent and plant, as plain data: "entry", "plant", what it "hides", the environment steps after
-        which the best agent was kept by task ("kept_steps"), those of each training ("training_steps") and their
-        processor time ("training_cpu_s"), and by part the means of both in s and mm with the 95 % interval of the
-        paired "difference" over the episodes.
+        "rows", one per agent and plant, as plain data: "entry", "plant", what it "hides", the environment
+        steps after which the best agent was kept by task ("kept_steps"), those of each training
+        ("training_steps") and their processor time ("training_cpu_s"), and by part the means of both in s and
+        mm with the 95 % interval of the paired "difference" over the episodes.
     """
     rows = []
     for name, content in contents.items():

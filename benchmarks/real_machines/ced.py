@@ -44,7 +44,7 @@ def counted_by(machine: Machine, run: Recording) -> Array:
 
 
 def run(console: Console) -> None:
-    """Identify CED and report the error of |speed| divided by the standard deviation of the measured speed."""
+    """Identify CED and report the error of |speed| over the standard deviation of the measured speed."""
     source = data_folder("ced", console)
     if source is None:
         return

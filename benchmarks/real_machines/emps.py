@@ -1,4 +1,4 @@
-"""EMPS: a ball-screw axis under a known controller; one coordinate, evaluated by the force of its inverse dynamics."""
+"""EMPS: a ball-screw axis under a known controller, evaluated by the force of its inverse dynamics."""
 
 from __future__ import annotations
 

@@ -1,10 +1,11 @@
 """CoreXY printers: number, frequency and damping of the resonances at the tool, from accelerometer spectra.
 
-There are no motor signals, so nothing is identified. The spectra test the structure of the belt model. With motors at
-standstill (steppers), a rigid bridge on belts has one mode along x and one along y, both with the same belt stiffness,
-so (f_x / f_y)^2 is the ratio of the mass moving in y to that moving in x. A second peak in one direction is a degree of
-freedom that the model does not have. Not used: raw accelerations of moves (they have no inputs), and belt plucks (a
-tone gives the tension only with the belt's mass and free length, which are unknown).
+There are no motor signals, so nothing is identified. The spectra test the structure of the belt model. With
+motors at standstill (steppers), a rigid bridge on belts has one mode along x and one along y, both with the
+same belt stiffness, so (f_x / f_y)^2 is the ratio of the mass moving in y to that moving in x. A second peak
+in one direction is a degree of freedom that the model does not have. Not used: raw accelerations of moves
+(they have no inputs), and belt plucks (a tone gives the tension only with the belt's mass and free length,
+which are unknown).
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ from hframe_gym.arrays import Array
 _BAND = (12.0, 130.0)  # Hz; below is the motion itself, above the mount of the accelerometer
 _HEIGHT = 0.3  # of the highest peak; lower peaks do not count
 _DIP = 0.25  # of the highest peak; minimum prominence of a peak
-# Column of the accelerometer along the printer's axis. According to the source, x and z of "eddie" are swapped.
+# Column of the accelerometer along the printer's axis. According to the source, x and z of "eddie" are
+# swapped.
 _EDDIE = {
     "vib-x.csv": ("x", "z"),
     "vib-y.csv": ("y", "y"),

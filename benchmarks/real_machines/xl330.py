@@ -1,12 +1,12 @@
-"""XL330: a servo with a pendulum (logs of Rhoban's BAM); one rotary coordinate under the servo's position loop.
+"""XL330: a servo with a pendulum (logs of Rhoban's BAM); one rotary coordinate under its position loop.
 
     python -m benchmarks.real_machines.xl330       # writes examples/xl330 from the logs
 
-The position loop needs no model, because its output is logged. `load` is proportional to goal minus position (254 per
-rad at kp 100) and saturates at 885, the default limit of the servo's duty cycle. Therefore it is the duty cycle, and
-the voltage is load / 885 * supply. The servo updates it about every millisecond, the log every 4 to 5 ms; between two
-rows the mean of both is held. Rows after the torque is switched off (lift_and_drop) are omitted, because a released
-motor has an open circuit and not 0 V.
+The position loop needs no model, because its output is logged. `load` is proportional to goal minus position
+(254 per rad at kp 100) and saturates at 885, the default limit of the servo's duty cycle. Therefore it is the
+duty cycle, and the voltage is load / 885 * supply. The servo updates it about every millisecond, the log
+every 4 to 5 ms; between two rows the mean of both is held. Rows after the torque is switched off
+(lift_and_drop) are omitted, because a released motor has an open circuit and not 0 V.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def convert(source: Path, target: Path) -> None:
 
 
 def simulate_angle(machine: Machine, run: Recording) -> Array:
-    """Simulate the measured angle, rad, shape (n,), under the logged voltages, from the first measurement at rest."""
+    """Simulate the angle, rad, shape (n,), under the logged voltages, from the first measurement at rest."""
     angle = machine.simulate(run.time_s, run.inputs, [run.outputs[0, 0], 0.0]).outputs[:, 0]
     return angle - angle[0] + run.outputs[0, 0]
 
@@ -61,8 +61,8 @@ def simulate_angle(machine: Machine, run: Recording) -> Array:
 def run(console: Console) -> None:
     """Identify the servo and report the angle error of open-loop simulations.
 
-    The machine file does not declare the pendulum's weight, so a force proportional to the sine of the angle must be
-    identified.
+    The machine file does not declare the pendulum's weight, so a force proportional to the sine of the angle
+    must be identified.
     """
     if not EXAMPLE.is_dir():
         console.print(f"xl330: skipped, no folder {EXAMPLE.relative_to(ROOT)}")

@@ -1,7 +1,8 @@
 """The window `hframe app`: a local page for the loop from a machine and its logs to controllers and exports.
 
-Everything that it does is a command line, which it shows, runs in another process and keeps in the session, so that
-a session can be repeated by a script. Modules without user interface come first, then one module for each stage.
+Everything that it does is a command line, which it shows, runs in another process and keeps in the session,
+so that a session can be repeated by a script. Modules without user interface come first, then one module for
+each stage.
 
 session          folder of a session, and the command line of each step
 jobs             run command lines in processes; their output, their progress, and how to end them

@@ -14,7 +14,7 @@ _LEFT, _RIGHT = 62, 14
 
 
 def ink(role: str, dark: bool) -> str:
-    """Return the color, "#rrggbb", of a role in `hframe_gym.web_page.COLORS`, on a light or a dark display."""
+    """Return the color, "#rrggbb", of a role in `hframe_gym.web_page.COLORS`, on light or dark displays."""
     return COLORS[role][dark]
 
 
@@ -30,7 +30,7 @@ def curves_chart(
     x_name: str = "time, s",
     intervals: Sequence[Interval] = (),
 ) -> dict[str, Any]:
-    """Return options of ECharts for one or more curves, one below another, with intervals of time that are marked."""
+    """Return options of ECharts for one or more curves, one below another, with marked intervals."""
     first, last = min(float(c.time[0]) for c in curves), max(float(c.time[-1]) for c in curves)
     options = _frame(dark)
     for k, curve in enumerate(curves):
@@ -101,7 +101,7 @@ def _value_axis(dark: bool) -> dict[str, Any]:
 
 
 def _lines(curve: Curve, first: float, last: float, dark: bool) -> list[dict[str, Any]]:
-    """Return the line of a curve, and below it those that are compared with it, from one time to another, s."""
+    """Return a curve's line, and below it those that are compared with it, from one time to another, s."""
     return [
         {
             "type": "line",
@@ -141,7 +141,7 @@ def _frame(dark: bool) -> dict[str, Any]:
 
 
 def with_zoom(options: dict[str, Any], dark: bool) -> dict[str, Any]:
-    """Add a slider of the times, and the zoom by Ctrl and wheel, to the options of a chart, and return them."""
+    """Add a slider of the times, and the zoom by Ctrl and wheel, to a chart's options, and return them."""
     options["dataZoom"] = [
         {"type": "inside", "xAxisIndex": "all", "zoomOnMouseWheel": "ctrl", "filterMode": "none"},
         {
@@ -161,7 +161,7 @@ def with_zoom(options: dict[str, Any], dark: bool) -> dict[str, Any]:
 
 
 def with_selection(options: dict[str, Any], dark: bool) -> dict[str, Any]:
-    """Let the mouse select an interval of times: add it to the options of a chart of curves, and return them."""
+    """Let the mouse select an interval of times: add it to the options of a chart of curves; return them."""
     options["toolbox"] = {"show": False}
     options["brush"] = {
         "xAxisIndex": "all",

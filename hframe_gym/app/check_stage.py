@@ -136,7 +136,7 @@ class CheckStage(Stage):
                 self._wanted.append(_Wanted(ui.element("div").classes("hf-chart"), *shown_by))
 
     def _shown_by(self, finding: Finding, machine: Machine) -> tuple[Path, set[str]] | None:
-        """Return the run and the channels that show a finding, an output together with the inputs; None if none do."""
+        """Return the run and channels that show a finding, an output together with the inputs, or None."""
         by_name = {run_name(path): path for path in self.session.runs}
         path = by_name.get(finding.run.split(" and ")[0].split(",")[0].strip())
         coordinate = {sensor.channel: sensor.coordinate for sensor in machine.sensors}

@@ -20,7 +20,7 @@ from .stage import Stage, State, heading
 
 
 class ExportStage(Stage):
-    """Write the machine, corrected where it was identified, or a controller, in the format of another tool."""
+    """Write the machine, corrected where it was identified, or a controller, in another tool's format."""
 
     key, title, action = "export", "Export", "Export"
     purpose = (

@@ -1,4 +1,4 @@
-"""Stage "Logs": drop logs, see each column with what it is taken for, choose columns and units, cut runs, import."""
+"""Stage "Logs": drop logs, see what each column is taken for, choose columns and units, cut runs, import."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Stage "Machine": choose a template or a machine.json, see it drawn, and judge whether its values are plausible."""
+"""Stage "Machine": choose a template or machine.json, see it drawn, and judge if its values are plausible."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class StageView(Element, component="stage_view.js"):
     """Plan view of a machine; with motions, it shows them."""
 
     def __init__(self, drawing: dict[str, Any], motions: list[dict[str, Any]] | None = None) -> None:
-        """Create the view of shapes, from `drawing_of`, and of the motions of controllers, with their names."""
+        """Create the view of shapes, from `drawing_of`, and of the motions of named controllers."""
         super().__init__()
         self._props["drawing"], self._props["motions"] = drawing, motions or []
 
@@ -79,7 +79,7 @@ class MachineStage(Stage):
             upload.on_upload(self._uploaded).props('accept=".json" flat')
 
     def _field(self, question: TemplateQuestion) -> None:
-        """Build the field of an option of `hframe machines new`; a value that is the template's is no option."""
+        """Build the field of an option of `hframe machines new`; the template's value is no option."""
         option, text = question.option.replace("_", "-"), question.text
         default: Any = [] if question.several else question.default
         value: Any = self._values.get(option, default)
@@ -157,8 +157,8 @@ def plausibility(machine: Machine) -> tuple[list[list[str]], list[tuple[str, str
     """List what a machine can do, by which its values can be compared with what one knows.
 
     Returns:
-        Limits of the motion, one row for each with the values along each axis and the unit; then rows of quantity,
-        value and unit: vibrations on the belts, noise and resolution of the sensors.
+        Limits of the motion, one row for each with the values along each axis and the unit; then rows of
+        quantity, value and unit: vibrations on the belts, noise and resolution of the sensors.
     """
     moves = [(machine.coordinate(name), limit) for name, limit in motion_limits(machine).items()]
     limits = []
@@ -182,7 +182,7 @@ def plausibility(machine: Machine) -> tuple[list[list[str]], list[tuple[str, str
 
 
 def parameter_rows(machine: Machine) -> list[tuple[str, str, str]]:
-    """List name, value (with its standard deviation where it was identified) and unit of a machine's parameters."""
+    """List name, value (with standard deviation if identified) and unit of a machine's parameters."""
     known = machine.uncertainty
     deviations = (
         {} if known is None else dict(zip(known.names, known.covariance.diagonal() ** 0.5, strict=True))

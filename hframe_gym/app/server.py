@@ -27,10 +27,10 @@ _REFUSED = b"Open the address that hframe app printed; it has the token that thi
 
 
 class TokenGate:
-    """Layer of a web application (ASGI) that answers only who has the token, and only at the loopback address.
+    """Layer of a web application (ASGI) that answers only who has the token, and only on the loopback.
 
-    The first request has the token in its address; a cookie then keeps it. The name of the host is compared as well, so
-    that another site cannot reach the server under a name of its choice.
+    The first request has the token in its address; a cookie then keeps it. The name of the host is compared
+    as well, so that another site cannot reach the server under a name of its choice.
     """
 
     def __init__(self, app: Any, token: str, port: int) -> None:

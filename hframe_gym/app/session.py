@@ -44,12 +44,12 @@ class ImportChoices:
 
 @dataclass(frozen=True)
 class Session:
-    """Folder of a session; its files are those of the commands, so that each can be opened without the window."""
+    """Folder of a session; its files are those of the commands, so that each opens without the window."""
 
     folder: Path
 
     def create(self) -> None:
-        """Make the folder and that of the logs, if they do not exist; an InputError if the folder is a file."""
+        """Make the folder and that of the logs, unless they exist; an InputError if the folder is a file."""
         if self.folder.exists() and not self.folder.is_dir():
             raise InputError(f"{self.folder}: is a file, but must be the folder of a session")
         (self.folder / LOGS).mkdir(parents=True, exist_ok=True)
@@ -123,7 +123,7 @@ class Session:
         return machine
 
     def aside_command(self, *names: str) -> list[list[str]]:
-        """Return the command that moves results of former inputs to a new folder of the session; nothing is deleted.
+        """Return the command that moves former results to a new folder of the session; nothing is deleted.
 
         Args:
             names: Files and folders of the session; those that do not exist are left out.
@@ -160,11 +160,12 @@ def command_text(words: Sequence[str]) -> str:
 
 
 def new_machine_command(like: str, values: Mapping[str, str | bool | Sequence[str]]) -> list[str]:
-    """Return the words of the command that writes the machine of a session from a template, in place of an older one.
+    """Return the words of the command that writes a session's machine from a template, or replaces it.
 
     Args:
-        values: Values by name of the option of `hframe machines new`, without dashes, or by name of a parameter such as
-            "x.mass" (`--set`); empty ones are left out. An option that is repeated has a list, a switch True or False.
+        values: Values by name of the option of `hframe machines new`, without dashes, or by name of a
+            parameter such as "x.mass" (`--set`); empty ones are left out. An option that is repeated has a
+            list, a switch True or False.
     """
     words = ["machines", "new", "--like", like]
     for name, value in values.items():
@@ -220,7 +221,7 @@ def identify_command(hold_out: Sequence[str], budget: str, force: bool) -> list[
 
 
 def control_folder(machine: str) -> str:
-    """Return the folder of the comparisons of controllers on a machine, both relative to the session's folder."""
+    """Return the folder of comparisons of controllers on a machine, both relative to the session's folder."""
     return (PurePosixPath(machine).parent / CONTROL).as_posix()
 
 

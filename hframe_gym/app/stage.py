@@ -1,4 +1,4 @@
-"""What all stages have: title, purpose, commands with the button that runs them, and the output of the job."""
+"""What all stages share: title, purpose, commands with the button that runs them, and the job's output."""
 
 from __future__ import annotations
 
@@ -245,7 +245,7 @@ def heading(text: str) -> None:
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], numbers: Sequence[int] = ()) -> None:
-    """Show a table of texts; `numbers` are the indices of the columns whose cells are aligned at the right."""
+    """Show a table of texts; `numbers` are indices of the columns whose cells are aligned at the right."""
 
     def cells(tag: str, texts: Sequence[str]) -> str:
         parts = (

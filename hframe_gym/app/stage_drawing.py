@@ -23,8 +23,8 @@ def drawing_of(machine: Machine) -> dict[str, Any] | None:
     (a, b, c, d, e, f) of x = a + b X + c Y, y = d + e X + f Y for the tool at (X, Y), all in m.
 
     Returns:
-        Limits of the view, m, workspace, shapes (kind, role, points), and the point at which the tool is drawn without
-        a motion, m; None if the machine has no tool.
+        Limits of the view, m, workspace, shapes (kind, role, points), and the point at which the tool is
+        drawn without a motion, m; None if the machine has no tool.
     """
     if not machine.tool_axes:
         return None
@@ -56,7 +56,7 @@ def drawing_of(machine: Machine) -> dict[str, Any] | None:
 
 
 def _point_at_rest(machine: Machine, geometry: StageGeometry) -> Point:
-    """Return where the tool is drawn without a motion: away from the center, so that sections of belts differ."""
+    """Return where the tool is drawn without a motion: off the center, so that sections of belts differ."""
     if isinstance(geometry, DialGeometry):
         return drawn_point(machine.axis_unit, (0.5,))
     x = geometry.left + 0.62 * (geometry.right - geometry.left)
@@ -92,11 +92,11 @@ def _limits(geometry: StageGeometry, shapes: list[dict[str, Any]]) -> list[float
 
 
 def read_motions(path: Path, machine: Machine) -> list[dict[str, Any]]:
-    """Read a controller's motions that `hframe evaluate --motions` wrote, in as many frames as a display shows.
+    """Read a controller's motions of `hframe evaluate --motions`, in as many frames as a display shows.
 
     Returns:
-        For each episode: period of the frames, s; lists of the points (x, y), m, at which tool and goal are drawn, of
-        the distances between them, mm or mrad (`unit`), and of the voltages, V.
+        For each episode: period of the frames, s; lists of the points (x, y), m, at which tool and goal are
+        drawn, of the distances between them, mm or mrad (`unit`), and of the voltages, V.
     """
     axes, inputs, unit = machine.tool_axes, machine.input_channels, machine.axis_unit
     episodes: dict[str, list[dict[str, str]]] = {}

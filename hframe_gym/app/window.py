@@ -46,7 +46,7 @@ def style_sheet() -> str:
 
 
 class Window:
-    """The window of a session; every browser tab shows the same session and the last job of each stage, by its key."""
+    """The window of a session; all browser tabs show the same session and each stage's last job, by key."""
 
     def __init__(self, session: Session) -> None:
         self.session = session

@@ -1,7 +1,7 @@
 """The `hframe` command: read files, call the library, print.
 
-Exit codes: 0 for success; 1 for an internal error, or if `hframe check` found a fault; 2 for invalid input, with one
-line that says what is wrong and where.
+Exit codes: 0 for success; 1 for an internal error, or if `hframe check` found a fault; 2 for invalid input,
+with one line that says what is wrong and where.
 
 Every module `*_commands` registers its commands with `app` when it is imported here.
 """
@@ -61,7 +61,7 @@ def options(
 
 @cache
 def _command() -> Any:
-    """Return the click command with all its subcommands, which Typer would build again (20 ms) for every call."""
+    """Return the click command with all subcommands, which Typer would build again (20 ms) for each call."""
     return typer.main.get_command(app)
 
 
@@ -71,12 +71,12 @@ def main(interrupted: Callable[[], bool] = lambda: False) -> None:
     With the environment variable `HFRAME_DEBUG` (`DEBUG_VARIABLE`), exceptions keep their traceback.
 
     Args:
-        interrupted: Function that returns whether the process has received a signal to end (SIGINT, SIGTERM); an
-            exception is then raised and not printed.
+        interrupted: Function that returns whether the process has received a signal to end (SIGINT, SIGTERM);
+            an exception is then raised and not printed.
 
     Raises:
-        SystemExit: With exit code 0 (success), 1 (internal error, a fault that `hframe check` found, or a question that
-            the user ended) or 2 (faulty input or arguments).
+        SystemExit: With exit code 0 (success), 1 (internal error, a fault that `hframe check` found, or a
+            question that the user ended) or 2 (faulty input or arguments).
     """
     with closed_output_tolerated(), warnings.catch_warnings():
         warnings.simplefilter("always", UserWarning)

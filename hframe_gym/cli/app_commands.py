@@ -21,8 +21,9 @@ def run_app(
 ) -> None:
     """Open a local page for all steps: machine, logs, check, identify, results, control, export.
 
-    Every step is a command, which the page shows and the session keeps in commands.sh. The page is served on this
-    computer only, to whoever has the printed address, and requests nothing from a network. It needs the extra `app`.
+    Every step is a command, which the page shows and the session keeps in commands.sh. The page is served on
+    this computer only, to whoever has the printed address, and requests nothing from a network. It needs the
+    extra `app`.
 
     Example:  hframe app my_session
     """

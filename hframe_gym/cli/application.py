@@ -1,4 +1,4 @@
-"""The command line application: the Typer object, and the classes of its commands and groups with their help."""
+"""The command line application: the Typer object, and its classes of commands and groups with help."""
 
 from __future__ import annotations
 
@@ -34,9 +34,10 @@ class Command(TyperCommand):
 
 
 class CommandGroup(TyperGroup):
-    """Group of commands, such as `hframe machines`; without a command, it runs its command `list` if it has one.
+    """Group of commands, such as `hframe machines`; without a command, it runs its command `list`, if any.
 
-    Paragraphs of the help pages fill the width of the terminal; Typer alone would keep the line breaks of docstrings.
+    Paragraphs of the help pages fill the width of the terminal; Typer alone would keep the line breaks of
+    docstrings.
     """
 
     @override
@@ -47,7 +48,7 @@ class CommandGroup(TyperGroup):
 
     @override
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return a command, without line breaks within the paragraphs of its help, so that these fill the terminal."""
+        """Return a command, with its help's paragraphs as single lines, so that these fill the terminal."""
         command = super().get_command(ctx, cmd_name)
         if command is not None and command.help:
             paragraphs = inspect.cleandoc(command.help).split("\n\n")
@@ -108,20 +109,20 @@ _RAY_ADDRESS = re.compile(rf"auto|{LOCAL_RAY}|[^\s/]+:\d+")  # other words after
 
 
 def register_agents() -> None:
-    """Register the trained agents as controllers, also if the package is not installed and has no entry points."""
+    """Register the trained agents as controllers, also if the package is not installed with entry points."""
     import_module("hframe_gym.agents")
 
 
 class CommandWithChoices(Command):
-    """Command whose help texts may contain placeholders of `help_texts.registered_choices`, for example {tasks}.
+    """Command whose help texts may contain placeholders of `help_texts.registered_choices`, such as {tasks}.
 
-    They are replaced when the help is printed, so that no other command waits for the imports of the registries. The
-    option --ray may have no value.
+    They are replaced when the help is printed, so that no other command waits for the imports of the
+    registries. The option --ray may have no value.
     """
 
     @override
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the command line; the option --ray without the address of a cluster gets the value "local"."""
+        """Parse the command line; the option --ray without a cluster's address gets the value "local"."""
         words = []
         for word, following in pairwise([*args, ""]):
             words += [word] if word != "--ray" or _RAY_ADDRESS.fullmatch(following) else [word, LOCAL_RAY]
@@ -129,7 +130,7 @@ class CommandWithChoices(Command):
 
     @override
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Write the help page, with the names of the registered tasks, controllers etc. for their placeholders."""
+        """Write the help page, with the names of the registered tasks, controllers etc. for placeholders."""
         with_help = [parameter for parameter in self.params if getattr(parameter, "help", None)]
         texts = [parameter.help for parameter in with_help]  # type: ignore[attr-defined]
         for parameter, text in zip(with_help, texts, strict=True):

@@ -73,10 +73,11 @@ def train(
 ) -> None:
     """Train an agent by a recipe: the settings of an algorithm for a task.
 
-    The folder receives the best agent so far, its description (card.json) with the learning curve, TensorBoard logs and
-    a checkpoint. A run may be killed at any time and continued with --resume; the run in a folder is replaced only with
-    --force. Several seeds become the folders seed_0, seed_1, ..., each complete when its training ends; to resume such
-    a run, train its seed alone with --out FOLDER/seed_N. A task without recipes has those of reach or track.
+    The folder receives the best agent so far, its description (card.json) with the learning curve,
+    TensorBoard logs and a checkpoint. A run may be killed at any time and continued with --resume; the run in
+    a folder is replaced only with --force. Several seeds become the folders seed_0, seed_1, ..., each
+    complete when its training ends; to resume such a run, train its seed alone with --out FOLDER/seed_N. A
+    task without recipes has those of reach or track.
 
     Example:  hframe train ppo --out out/ppo
     """
@@ -164,8 +165,8 @@ def evaluate(
 ) -> None:
     """Score controllers on identical episodes; write scores.json and a plot of the first episode of each.
 
-    With --protocol, write one result file per controller for the leaderboard (docs/leaderboard.md) instead. The
-    controller `pid` is a model-based state feedback; `textbook-pid` is a PID.
+    With --protocol, write one result file per controller for the leaderboard (docs/leaderboard.md) instead.
+    The controller `pid` is a model-based state feedback; `textbook-pid` is a PID.
 
     Examples:  hframe evaluate pid textbook-pid --episodes 64 --html --out out/scores
 
@@ -201,7 +202,7 @@ def evaluate(
 def _evaluate_all(
     options: dict[str, Any], controllers: list[str], ray: str | None
 ) -> tuple[dict[str, Any], dict[str, Episodes], list[str]]:
-    """Evaluate controllers, on Ray one per task; return scores, recorded episodes and the texts of warnings."""
+    """Evaluate controllers, on Ray one per task; return scores, recorded episodes and warnings' texts."""
     groups = [controllers] if ray is None else [[name] for name in controllers]
     (scores, recorded, warned), *others = map_tasks(partial(_evaluate_group, options), groups, ray=ray)
     for more_scores, more_recorded, more_warned in others:
@@ -309,10 +310,10 @@ def play(
     ] = None,
     picture: Annotated[Path | None, Option(help="PNG file for the last frame.")] = None,
 ) -> None:
-    """Drive a simulated stage by mouse or keys; with --beside, a controller has the same task on a second stage.
+    """Drive a simulated stage by mouse or keys; with --beside, a controller has the same task beside it.
 
-    Arrow keys push the tool (with Shift: full voltage); the left mouse button pulls it to the pointer, the right one
-    sets a target. N begins a new episode, R repeats it, Space pauses, Q quits.
+    Arrow keys push the tool (with Shift: full voltage); the left mouse button pulls it to the pointer, the
+    right one sets a target. N begins a new episode, R repeats it, Space pauses, Q quits.
 
     Example:  hframe play --beside pid
     """
@@ -343,7 +344,7 @@ def play(
 
 
 def task_with_path(name: str, path: str | None, unit: AxisUnit) -> Any:
-    """Return the task that the options --task and --path select: a task object with the path, or the name of the task.
+    """Return the task of the options --task and --path: a task object with the path, or a task's name.
 
     Args:
         name: Registered name of the task.
@@ -363,7 +364,7 @@ def task_with_path(name: str, path: str | None, unit: AxisUnit) -> Any:
 
 
 def option_words(**values: str | None) -> str:
-    """Format options as the end of a command line that a message proposes, quoted: " --machine axis --task reach".
+    """Format options as the end of a proposed command line, quoted: " --machine axis --task reach".
 
     An option whose value is None is left out.
     """
@@ -371,10 +372,10 @@ def option_words(**values: str | None) -> str:
 
 
 def training_proposal(machine: str, task: str, randomize: str, period: float) -> str:
-    """Write the line that proposes, after an evaluation of controllers, to train an agent with the same settings.
+    """Write a line that proposes, after an evaluation, to train an agent with the same settings.
 
-    It names the control period of the recipe if it differs from `period`, s, that of the evaluation. It is empty if the
-    package has no recipe "ppo" for the task.
+    It names the control period of the recipe if it differs from `period`, s, that of the evaluation. It is
+    empty if the package has no recipe "ppo" for the task.
     """
     from ..agents import load_recipe
 

@@ -17,7 +17,7 @@ from ..errors import InputError, suggestion
 from .application import CommandGroup, CommandWithChoices, app, register_agents
 from .output import log
 
-_HELP = """Write a machine, a controller or an agent in the files of other tools; KIND is one of the commands below.
+_HELP = """Write a machine, a controller or an agent in files of other tools; KIND is a command below.
 
 A file or a folder of files appears complete, or not at all. It names the machine, this version and the units.
 
@@ -27,7 +27,7 @@ DATASET = "dataset"  # the kind that `hframe export CONTROLLER` means
 
 
 class ExportGroup(CommandGroup):
-    """Group with one command for each registered exporter; they are imported when the first command is needed."""
+    """Group with a command for each registered exporter; these are imported when the first one is needed."""
 
     @override
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:

@@ -78,14 +78,14 @@ def identify(
     ] = None,
     ray: RayOption = None,
 ) -> None:
-    """Fit a machine to recordings; find effects (friction, ...) that its model lacks, and verify them on held-out runs.
+    """Fit a machine to recordings; find effects (friction, ...) that it lacks, verified on held-out runs.
 
-    The recordings are checked first; faults (errors in the data, such as a wrong sign, that `hframe check` lists) stop
-    the command before anything is fitted. A held-out run is not used for fitting; the errors in the report are those on
-    held-out runs. One of each four runs with similar voltages is held out unless --hold-out names others. The folder
-    --out receives report.json, the declared, refitted and corrected machine, report.html and its plots; with several
-    rigs, it receives a folder with these files for each rig. Ctrl-C during the search ends it with what was found so
-    far.
+    The recordings are checked first; faults (errors in the data, such as a wrong sign, that `hframe check`
+    lists) stop the command before anything is fitted. A held-out run is not used for fitting; the errors in
+    the report are those on held-out runs. One of each four runs with similar voltages is held out unless
+    --hold-out names others. The folder --out receives report.json, the declared, refitted and corrected
+    machine, report.html and its plots; with several rigs, it receives a folder with these files for each rig.
+    Ctrl-C during the search ends it with what was found so far.
 
     Example:  hframe identify examples/rig_a --out out/rig_a
     """
@@ -126,7 +126,7 @@ def _identify_rig(
     out: Path,
     began: float,
 ) -> tuple[IdentificationResult, Exception | None]:
-    """Identify one rig, write and print its result; return it with the error that prevented report.html, if any.
+    """Identify one rig, write and print its result; return it with the error of report.html, if any.
 
     The budget counts the processor time since the command began, s.
     """
@@ -147,7 +147,7 @@ def _identify_rig(
 
 
 def _log_notes(result: IdentificationResult, findings: Sequence[Finding]) -> None:
-    """Print what the user should know beside the result: first about the result, then about the recordings."""
+    """Print what else the user should know: first about the result, then about the recordings."""
     from ..data_validation import group_findings
 
     notes = [
@@ -211,7 +211,7 @@ def _write_rig(
     out: Path,
     log: LineLog,
 ) -> tuple[Report, Exception | None]:
-    """Write the files of a result to a folder; an error in report.html is returned, so that the others are kept.
+    """Write the files of a result to a folder; an error in report.html is returned, so the others are kept.
 
     Args:
         result: Result of the identification.
@@ -242,7 +242,7 @@ def _write_rig(
 
 
 class _Rig(NamedTuple):
-    """What a worker gets: a folder of runs, the folder for the result, and the runs or the error of reading them."""
+    """What a worker gets: a folder of runs, the result's folder, and the runs or the error of reading."""
 
     runs_dir: Path
     out: Path
@@ -288,7 +288,7 @@ def _identify_rigs(check_and_identify: _Identification, rigs: list[_Rig], jobs: 
 
 
 def _identify_in_worker(check_and_identify: _Identification, show_lines: bool, rig: _Rig) -> _IdentifiedRig:
-    """Identify a rig in a temporary folder; print what it does line by line, or nothing beside the command's bar."""
+    """Identify a rig in a temporary folder; print what it does line by line, or nothing beside a bar."""
     from ..identification.report.verdict_words import verdict_sentence
 
     def log(line: str) -> None:

@@ -1,4 +1,4 @@
-"""What `hframe identify` does around the library: the rigs of a folder, the check before a fit, formulas after it."""
+"""What `hframe identify` does around the library: a folder's rigs, check before a fit, formulas after it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def rig_folders(folder: Path) -> list[Path]:
-    """List the subfolders of a folder that contain recordings, one per rig; none if the folder itself contains some."""
+    """List the subfolders with recordings, one per rig; none if the folder itself contains some."""
     from ..recordings import recording_files
 
     if not folder.is_dir() or recording_files(folder):
@@ -52,7 +52,8 @@ def check_recordings_before_fit(
 
     Args:
         refuse: Folder of the recordings, which the error names. None: faults are only printed.
-        log: Called with a line of text for every group of similar faults, and for the number of other findings.
+        log: Called with a line of text for every group of similar faults, and for the number of other
+            findings.
 
     Raises:
         InputError: If there is a fault and `refuse` is given.

@@ -15,11 +15,11 @@ from .application import Application, CommandGroup, CommandWithChoices, app
 from .options import MachineArgument, MachineOption
 from .output import console, log
 
-_EFFECTS_HELP = """List the effects that identification can add to a machine's model (the default), or write a new one.
+_EFFECTS_HELP = """List the effects that identification can add to a model (the default), or write a new one.
 
 Example:  hframe effects
 """
-_MACHINES_HELP = """List the built-in machines (the default), show a machine, create one, or print the JSON Schema.
+_MACHINES_HELP = """List the built-in machines (the default), show or create one, or print the JSON Schema.
 
 Example:  hframe machines
 """
@@ -45,9 +45,9 @@ def simulate(
 ) -> None:
     """Simulate a machine with the voltages of a recording; write what its sensors would have measured.
 
-    The file --out has the times and voltages of --inputs and a simulated measurement of every sensor of the machine.
-    Measurements in --inputs, if any, give the state at the beginning and the voltages of rows that the logger dropped;
-    they do not correct the simulation otherwise.
+    The file --out has the times and voltages of --inputs and a simulated measurement of every sensor of the
+    machine. Measurements in --inputs, if any, give the state at the beginning and the voltages of rows that
+    the logger dropped; they do not correct the simulation otherwise.
 
     Example:  hframe simulate --machine hframe --inputs examples/rig_b/run_01.csv.gz --out predicted.csv
     """
@@ -164,8 +164,8 @@ def new_machine_file(
 ) -> None:
     """Write a commented machine.json from a template; without --like or --out, ask for the values.
 
-    Values that are not given are those of the template. For one axis, --travel and --mass are one number each; for a
-    motor, pendulum, wheel or servo, --mass is the moment of inertia of what turns, kg m^2.
+    Values that are not given are those of the template. For one axis, --travel and --mass are one number
+    each; for a motor, pendulum, wheel or servo, --mass is the moment of inertia of what turns, kg m^2.
 
     Example:  hframe machines new --like corexy --travel 0.3,0.3 --mass 0.4,1.2 --out my.json
     """
@@ -194,7 +194,7 @@ def new_machine_file(
 
 @effects_app.command("list")
 def list_effects() -> None:
-    """List the effects (friction, delay, ...) that identification can add to a machine's model, with their formulas.
+    """List the effects (friction, delay, ...) that identification can add to a model, with their formulas.
 
     Forces are in N at x or y and in Nm at a motor.
 
@@ -216,8 +216,9 @@ def new_effect(
 ) -> None:
     """Write a new effect, a Python file, from a formula that `hframe identify` proposes for an unknown force.
 
-    Where no known effect (deviation from the machine's model) explains a force, `hframe identify` describes it by a
-    table of values and proposes formulas. Review the file, then name it in HFRAME_PLUGINS to use the effect.
+    Where no known effect (deviation from the machine's model) explains a force, `hframe identify` describes
+    it by a table of values and proposes formulas. Review the file, then name it in HFRAME_PLUGINS to use the
+    effect.
 
     Example:  hframe effects new rail_catch --from out/rig
     """
@@ -240,7 +241,7 @@ def new_effect(
 
 @app.command()
 def kernel(machine: MachineArgument) -> None:
-    """Print the source of the integrator that is generated for a machine: its compiled form runs all simulations.
+    """Print the source of a machine's generated integrator: its compiled form runs all simulations.
 
     Example:  hframe kernel hframe
     """

@@ -36,8 +36,9 @@ class MachineAnswers:
     Attributes:
         like: Name of the template.
         out: File to write.
-        given: Values by name in `MachineOptions`; those of `travel` and `mass` are texts with one value per axis,
-            separated by commas, those of `values` texts "PARAMETER=VALUE", SI, those of `sensor` texts "KIND@PART".
+        given: Values by name in `MachineOptions`; those of `travel` and `mass` are texts with one value per
+            axis, separated by commas, those of `values` texts "PARAMETER=VALUE", SI, those of `sensor` texts
+            "KIND@PART".
     """
 
     like: str = ""
@@ -50,7 +51,7 @@ class MachineAnswers:
         return dataclasses.replace(self, given={**self.given, option: answer})
 
     def options(self) -> MachineOptions:
-        """Convert the answers to the options of `new_machine`; an InputError if a text is no number or assignment."""
+        """Convert the answers to options of `new_machine`; an InputError names a text that does not fit."""
         values = {}
         for text in self.given.get("values", ()):
             parameter, separator, value = text.partition("=")
@@ -64,12 +65,12 @@ class MachineAnswers:
 def create_machine_file(answers: MachineAnswers, force: bool, log: LineLog) -> None:
     """Write a new machine.json from the options of `hframe machines new`, and print the limits of its motion.
 
-    If template and file are given, values that are not given are those of the template. Otherwise, `ask` asks on the
-    terminal for everything that is not given.
+    If template and file are given, values that are not given are those of the template. Otherwise, `ask` asks
+    on the terminal for everything that is not given.
 
     Raises:
-        InputError: If a value is wrong, the file exists and `force` is False, or template or file is missing and there
-            is no terminal.
+        InputError: If a value is wrong, the file exists and `force` is False, or template or file is missing
+            and there is no terminal.
     """
     if answers.out and (obstacle := file_obstacle(answers.out, force)):
         replacing = ", or replace it with --force" if obstacle.startswith("exists") else ""
@@ -98,9 +99,10 @@ def file_obstacle(path: Path, force: bool) -> str:
 
 
 def motion_lines(machine: Machine) -> list[str]:
-    """Describe moved mass, stall force and top speed at rated voltage of each rigid motion, to reveal wrong units.
+    """Describe moved mass, stall force and top speed at rated voltage of rigid motions: do the units fit?
 
-    A drive that controls its current or torque has no back-EMF, so that the machine file does not tell a top speed.
+    A drive that controls its current or torque has no back-EMF, so that the machine file does not tell a top
+    speed.
     """
     lines = []
     has_speed = any(d.law or d.Ke for d in machine.drives)
@@ -113,7 +115,7 @@ def motion_lines(machine: Machine) -> list[str]:
 
 
 def ask(answers: MachineAnswers, log: LineLog, force: bool = False) -> MachineAnswers:
-    """Ask on the terminal for each option of `hframe machines new` that is not given, including the file to write.
+    """Ask on the terminal for each option of `hframe machines new` that is not given, also the file.
 
     Enter accepts the value of the template. After an invalid answer, the question is repeated.
 
@@ -182,7 +184,7 @@ def _with_linear_sensor(answers: MachineAnswers) -> MachineAnswers:
 
 
 def _is_usable(answers: MachineAnswers, log: LineLog) -> bool:
-    """Return whether a machine can be made with the answers; otherwise say why not, without the names of options."""
+    """Return whether the answers make a machine; otherwise say why not, without the names of options."""
     try:
         new_machine(answers.like, "template", answers.options())
     except InputError as error:

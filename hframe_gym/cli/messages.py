@@ -32,7 +32,7 @@ def value_errors_as_input_errors() -> Iterator[None]:
 
 
 def describe_failure(error: Exception) -> tuple[int, str]:
-    """Convert an exception to an exit code (`INPUT_AT_FAULT` or `INTERNAL_ERROR`) and a message of one line."""
+    """Convert an exception to an exit code (`INPUT_AT_FAULT` or `INTERNAL_ERROR`) and a one-line message."""
     from ..dynamics import NotFiniteError
 
     usage = getattr(error, "format_message", None)  # of Typer's errors about options
@@ -56,7 +56,7 @@ def describe_failure(error: Exception) -> tuple[int, str]:
 
 
 def _example(error: Exception) -> str:
-    """Return the example of the command in whose words something is missing, empty if nothing is or it has none."""
+    """Return the example of the command in whose words something is missing; "" without any."""
     command = getattr(getattr(error, "ctx", None), "command", None)
     found = re.search(r"Examples?:\s+(hframe .+)", getattr(command, "help", None) or "")
     return (
@@ -69,8 +69,8 @@ def print_warning(
 ) -> None:
     """Print a warning as one line on standard error (assigned to `warnings.showwarning`).
 
-    Those of other libraries are left out: they speak of calls that the user did not write. So are warnings of NumPy
-    about numbers that overflow: a search tries machines that diverge, and tells so where it matters.
+    Those of other libraries are left out: they speak of calls that the user did not write. So are warnings of
+    NumPy about numbers that overflow: a search tries machines that diverge, and tells so where it matters.
     """
     path = Path(filename)
     foreign = "site-packages" in path.parts and not path.is_relative_to(_PACKAGE)
@@ -81,7 +81,7 @@ def print_warning(
 
 @contextmanager
 def collect_warnings() -> Iterator[list[str]]:
-    """Collect the texts of warnings (UserWarning) during the `with` block, for a report; they are still printed."""
+    """Collect the texts of warnings (UserWarning) in the `with` block, for a report, and still print them."""
     texts: list[str] = []
     show = warnings.showwarning
 

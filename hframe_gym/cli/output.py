@@ -15,7 +15,7 @@ console = Console(soft_wrap=True)
 
 
 def log(line: str) -> None:
-    """Print a line of text at once, also if the output is not a terminal; markup of rich in it is printed as it is."""
+    """Print a line of text at once, also if the output is not a terminal, without markup of rich."""
     console.print(plain_text(line), markup=False, highlight=False)
 
 
@@ -52,7 +52,7 @@ class _TolerantStream:
             self._discard(error)
 
     def _discard(self, error: OSError) -> None:
-        """Connect a stream without a reader to the null device, to which its buffer can be written; raise others."""
+        """Connect a stream without a reader to the null device, which takes its buffer; raise others."""
         if error.errno != errno.EPIPE and not (os.name == "nt" and error.errno == errno.EINVAL):
             raise error
         with suppress(OSError, ValueError):  # a stream without a file, such as that of a test
@@ -63,7 +63,7 @@ class _TolerantStream:
 
 @contextmanager
 def closed_output_tolerated() -> Iterator[None]:
-    """Let the work inside a `with` block go on if the reader of its output ends, as in `hframe import LOGS | head`."""
+    """Let the work in a `with` block go on if the output's reader ends, as in `hframe import LOGS | head`."""
     streams = sys.stdout, sys.stderr
     sys.stdout, sys.stderr = _TolerantStream(sys.stdout), _TolerantStream(sys.stderr)
     try:

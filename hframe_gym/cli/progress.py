@@ -1,4 +1,4 @@
-"""Progress of long commands: a line at the bottom of a terminal, plain lines, or records for another program."""
+"""Progress of long commands: a terminal's bottom line, plain lines, or records for another program."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def progress_bar(description: str) -> Iterator[Callable[[int, int], None]]:
 
 
 def _record_printer() -> Callable[..., None]:
-    """Return a function that prints its keyword arguments as a record, at most five a second and the last one."""
+    """Return a function that prints its keyword arguments as a record, at most five a second and the last."""
     last = -math.inf
 
     def record(**values: float | str | None) -> None:
@@ -60,10 +60,11 @@ def _record_printer() -> Callable[..., None]:
 
 @contextmanager
 def search_progress(log: LineLog) -> Iterator[Callable[[str, float, float], None]]:
-    """Show what a search does during the `with` block: a line at the bottom of a terminal, plain lines elsewhere.
+    """Show what a search does in the `with` block: a line at a terminal's bottom, plain lines elsewhere.
 
     Args:
-        log: Called with a line of text, where the output is no terminal, at most once in ten seconds of processor time.
+        log: Called with a line of text, where the output is no terminal, at most once in ten seconds of
+            processor time.
 
     Yields:
         Function of what the search does, the processor time spent and the budget, s.
@@ -97,7 +98,7 @@ def search_progress(log: LineLog) -> Iterator[Callable[[str, float, float], None
 
 @contextmanager
 def finishing_on_interrupt(budget: Budget) -> Iterator[None]:
-    """Let the first Ctrl-C during the `with` block end a search with what it found so far; the second one ends all.
+    """Let the first Ctrl-C in the `with` block end a search with what it found so far; a second one ends all.
 
     While no search is in progress, Ctrl-C ends the command as everywhere.
     """

@@ -97,12 +97,12 @@ def import_logs(
 ) -> None:
     """Convert logs of controllers and data loggers to recordings, which the other commands read.
 
-    Logs may have any separator, decimal mark and encoding, other names and units, and several sampling rates. A column
-    is assigned by --map, or if it alone has the name of a channel, with any unit ("X (mm)" for x_m). Nothing else is
-    guessed, and a column of another physical quantity is refused. "A + B" adds columns, "A - B" subtracts them. A
-    table shows what each column was taken for. docs/import.md lists what is handled.
+    Logs may have any separator, decimal mark and encoding, other names and units, and several sampling rates.
+    A column is assigned by --map, or if it alone has the name of a channel, with any unit ("X (mm)" for x_m).
+    Nothing else is guessed, and a column of another physical quantity is refused. "A + B" adds columns, "A -
+    B" subtracts them. A table shows what each column was taken for. docs/import.md lists what is handled.
 
-    Example:  hframe import log.txt --map v1_V=U1 --map v2_V=U2 --unit phi1_rad=deg --out runs --split-at-rests
+    Example:  hframe import log.txt --map v1_V=U1 --map v2_V=U2 --unit x_m=mm --out runs --split-at-rests
     """
     from ..recordings import ImportSettings, load_machine, parse_interval
     from ..recordings import import_logs as run_import
@@ -124,7 +124,7 @@ def _mapping_options(
     units: Sequence[str] | None,
     scales: Sequence[str] | None,
 ) -> MappingOptions:
-    """Return what the options --map, --unit and --scale assign to the channels, and, where they do not, --mapping."""
+    """Return what --map, --unit and --scale assign to the channels, and --mapping where they do not."""
     from ..recordings import MappingOptions, parse_factor, read_mapping_file
 
     from_file = read_mapping_file(file) if file is not None else MappingOptions()
@@ -159,7 +159,7 @@ def check(
     json: Annotated[Path | None, Option(help="Also write the findings to this file.")] = None,
     max_rows: MaxRowsOption = 4_000_000,
 ) -> None:
-    """Check recordings before a fit: clock, sensors, wiring, excitation and which parameters can be estimated.
+    """Check recordings before a fit: clock, sensors, wiring, excitation, and which parameters they determine.
 
     The exit code is 1 if there is a fault (an error in the data, such as a wrong sign), else 0.
 

@@ -13,8 +13,10 @@ adaptive_controller     gain scheduling on estimates of friction, masses and bel
 predictive_controller   model-predictive control with parameters identified in the episode (`predictive`)
 set_point               trajectories streamed to drives that follow a set point (`set-point`)
 
-models/                 motion of a machine, linear models of different machines, drives; CasADi (extra: bound)
-planning/               point-to-point transfers, previewed goals, predictive plans; shortest times (extra: bound)
+models/                 motion of a machine, linear models of different machines, drives; CasADi (extra:
+                        bound)
+planning/               point-to-point transfers, previewed goals, predictive plans; shortest times (extra:
+                        bound)
 estimation/             state and parameters from sensors; parameters from measured against simulated states
 """
 

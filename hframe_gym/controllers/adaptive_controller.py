@@ -1,13 +1,15 @@
-"""Adaptive controller: the model-based controller, scheduled on estimated belt stiffness, masses and friction.
+"""Adaptive controller: the model-based one, scheduled on estimated belt stiffness, masses and friction.
 
-Belts, masses   A bank of model-based controllers is designed for soft, nominal and stiff belts and for light and heavy
-                masses. The forces that they demand along x and y are interpolated by the estimated belt stiffness and
-                by the estimated mass of that axis (gain scheduling, Astrom and Wittenmark 1995, chapter 9).
-Friction        Along a previewed path, a feedforward voltage compensates the difference between estimated and modeled
-                friction, minus its recent mean: the disturbance observers already compensate that mean, but they lag
-                behind a force that reverses with the motion.
+Belts, masses   A bank of model-based controllers is designed for soft, nominal and stiff belts and for light
+                and heavy masses. The forces that they demand along x and y are interpolated by the estimated
+                belt stiffness and by the estimated mass of that axis (gain scheduling, Astrom and Wittenmark
+                1995, chapter 9).
+Friction        Along a previewed path, a feedforward voltage compensates the difference between estimated and
+                modeled friction, minus its recent mean: the disturbance observers already compensate that
+                mean, but they lag behind a force that reverses with the motion.
 
-The estimates come from `MomentumFilter`, which starts from the same prior in every episode; there is no training.
+The estimates come from `MomentumFilter`, which starts from the same prior in every episode; there is no
+training.
 
 References:
     Astrom and Wittenmark (1995), Adaptive Control, 2nd edition.
@@ -29,7 +31,8 @@ from .estimation.momentum_filter import MomentumFilter
 from .model_based_controller import ModelBasedController
 from .models.input_compensation import DeadTime, InputInversion
 
-# Design points of the bank, as factors on the declared EA and masses: about the range of the randomization "default".
+# Design points of the bank, as factors on the declared EA and masses: about the range of the randomization
+# "default".
 STIFFNESS_RATIOS = np.array([0.7, 1.0, 1.3])
 MASS_RATIOS = np.array([0.9, 1.2])
 # Weight of the newest period in the recent friction voltage; matches the disturbance observer along a path.
@@ -39,20 +42,22 @@ PERIODS_AHEAD = 3  # periods for which `expected_friction` gives the voltage, th
 
 @CONTROLLERS.register("adaptive-pid")
 class AdaptiveController(FullStateController):
-    """Model-based controller that adapts to the belt stiffness, masses and friction it estimates during the episode.
+    """Model-based controller that adapts to belt stiffness, masses and friction, estimated in the episode.
 
-    Its registered name is `adaptive-pid`, because the controllers that it adapts are `ModelBasedController`s (`pid`).
+    Its registered name is `adaptive-pid`, because the controllers that it adapts are `ModelBasedController`s
+    (`pid`).
 
     Attributes:
-        expected_friction: Voltages that compensate the difference between estimated and modeled friction along the
-            path, divided by the rated voltages, shape (B, 4 * drives): one column per drive for the present period,
-            then for each of the next two periods, then for the mean of recent periods. 0 if the goal does not move.
-        feature_sizes: Numbers of columns of `expected_friction` and `estimates`, by name; a learned policy that
-            corrects this controller may observe both.
+        expected_friction: Voltages that compensate the difference between estimated and modeled friction
+            along the path, divided by the rated voltages, shape (B, 4 * drives): one column per drive for the
+            present period, then for each of the next two periods, then for the mean of recent periods. 0 if
+            the goal does not move.
+        feature_sizes: Numbers of columns of `expected_friction` and `estimates`, by name; a learned policy
+            that corrects this controller may observe both.
 
     Raises:
-        InputError: If the machine does not have one drive per axis of its tool, an axis has no range, or the period is
-            invalid.
+        InputError: If the machine does not have one drive per axis of its tool, an axis has no range, or the
+            period is invalid.
     """
 
     knowledge: ClassVar[str] = "feedback laws, estimates parameters"
@@ -84,10 +89,10 @@ class AdaptiveController(FullStateController):
 
     @property
     def estimates(self) -> Array:
-        """Estimated relative errors of model parameters, shape (B, 2 n + 1) for B machines with n coordinates.
+        """Estimated relative errors of model parameters, shape (B, 2 n + 1) for B machines, n coordinates.
 
-        The columns are the errors of the n Coulomb friction forces, the n masses, and the belt stiffness. An error of
-        0.1 means that the actual value is 10 % above the model's.
+        The columns are the errors of the n Coulomb friction forces, the n masses, and the belt stiffness. An
+        error of 0.1 means that the actual value is 10 % above the model's.
         """
         return self._filter.estimates
 
@@ -171,7 +176,7 @@ class AdaptiveController(FullStateController):
 
 
 def scaled_machine(machine: Machine, stiffness_ratio: float, mass_ratio: float) -> Machine:
-    """Return a machine with all EA times `stiffness_ratio` and all masses times `mass_ratio`, dimensionless."""
+    """Return a machine with `stiffness_ratio` times all EA and `mass_ratio` times all masses."""
     factors = {"EA": stiffness_ratio, "mass": mass_ratio}
     values = machine.parameters.items()
     kinds = {name: name.rpartition(".")[2] for name in machine.parameters}

@@ -7,8 +7,8 @@ A controller commands a batch of B simulated machines at once. To add one, subcl
     class MyController(Controller):
         def act(self, observation): ...
 
-It is then available by name to `make_controller`, `evaluate` and `hframe evaluate`; from a module outside the package
-as `my_package.my_module:my-controller`.
+It is then available by name to `make_controller`, `evaluate` and `hframe evaluate`; from a module outside the
+package as `my_package.my_module:my-controller`.
 """
 
 from __future__ import annotations
@@ -29,24 +29,27 @@ from .models.motion_model import MotionModel
 from .observation_checks import check_keys, check_state_units
 
 Feedback = Literal["state", "estimated_state", "observation"]
-# s, largest step of the simulations in estimators and plans: that of the environments, short against the belt modes.
+# s, largest step of the simulations in estimators and plans: that of the environments, short against the belt
+# modes.
 SIMULATION_STEP_S = 5e-4
 
 
 class Controller(ABC):
     """Discrete-time controller of a batch of B simulated copies of one machine, one per environment.
 
-    A controller may keep a memory of each machine (integrators, estimates, voltages sent within the dead time); `reset`
-    clears it. B is the number of rows of the observation.
+    A controller may keep a memory of each machine (integrators, estimates, voltages sent within the dead
+    time); `reset` clears it. B is the number of rows of the observation.
 
     Attributes:
         feedback: What the controller needs to measure (class attribute). "state": the true full state; such a
-            controller cannot run from sensors. "estimated_state": the full state, which `StateEstimator` supplies where
-            the environment observes sensors only. "observation": whatever the environment observes.
-        knowledge: For what it uses the machine from which it is designed, a few words for the leaderboard (class
-            attribute). A planner with the true parameters of a draw says so.
+            controller cannot run from sensors. "estimated_state": the full state, which `StateEstimator`
+            supplies where the environment observes sensors only. "observation": whatever the environment
+            observes.
+        knowledge: For what it uses the machine from which it is designed, a few words for the leaderboard
+            (class attribute). A planner with the true parameters of a draw says so.
         files: Files besides its source that determine what it does, such as weights. They count as learned.
-        set_points: Whether it commands drives that follow set points, which no other controller does (class attribute).
+        set_points: Whether it commands drives that follow set points, which no other controller does (class
+            attribute).
 
     Raises:
         InputError: If the period is not between 1e-5 s and 10 s.
@@ -66,7 +69,7 @@ class Controller(ABC):
         """Compute the actions for the control period that starts now; call it once per period."""
 
     def reset(self, mask: Mask | None = None) -> None:  # noqa: B027  (optional)
-        """Clear the memory of machines that start a new episode next; None: of all, whose number may then change."""
+        """Clear the memory of machines that start an episode next; None: of all, whose number may change."""
 
     def concern(self) -> str | None:
         """Return a sentence for a warning if this controller cannot be expected to work on its machine."""
@@ -75,8 +78,8 @@ class Controller(ABC):
     def replace_last_action(self, actions: Actions) -> None:  # noqa: B027  (optional)
         """Replace the stored actions of this control period with the actions that were actually applied.
 
-        Call it after `act` if something changes the actions, for example a learned policy that corrects them: observers
-        and the compensation of a dead time need the applied voltages.
+        Call it after `act` if something changes the actions, for example a learned policy that corrects them:
+        observers and the compensation of a dead time need the applied voltages.
         """
 
 
@@ -84,7 +87,7 @@ CONTROLLERS: Registry[type[Controller]] = Registry("controller")
 
 
 def suited_controllers(machine: Machine) -> tuple[str, ...]:
-    """Return the names of the controllers whose commands the drives of a machine take, the first one to try first."""
+    """Return the controllers whose commands a machine's drives take, the one to try first in front."""
     return tuple(n for n in CONTROLLERS if CONTROLLERS.get(n).set_points == bool(machine.drive_laws))
 
 
@@ -109,12 +112,12 @@ class EpisodeStarts:
         return True
 
     def clear(self) -> None:
-        """Unmark all machines; call it after the first observations of their new episodes have been processed."""
+        """Unmark all machines; call it after the first observations of new episodes have been processed."""
         self.mask = np.zeros(len(self.mask), np.bool_)
 
 
 class FullStateController(Controller):
-    """Controller that needs the full state of a machine with one drive per axis; subclasses implement `act_on_state`.
+    """Controller that needs the full state of a machine with one drive per axis; implement `act_on_state`.
 
     This class converts observations to states and goals, and records which machines start a new episode.
 

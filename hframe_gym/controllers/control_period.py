@@ -1,4 +1,4 @@
-"""Control periods: those that controllers accept, and those at which they can damp the vibrations of a machine."""
+"""Control periods: those that controllers accept, and those at which they can damp a machine's vibrations."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ from ..dynamics import belt_modes
 from ..errors import InputError
 from ..machine import Machine
 
-# s. The preview and the horizon of the controllers last a fixed time, so that a shorter period costs time and memory.
+# s. The preview and the horizon of the controllers last a fixed time, so that a shorter period costs time and
+# memory.
 SHORTEST_PERIOD, LONGEST_PERIOD = 1e-5, 10.0
 # Control periods per period of the slowest belt mode, at least, where one is suggested.
 SAMPLES_PER_MODE = 4.0
 
 
 def check_period(period: float) -> float:
-    """Return the control `period`, s; an InputError refuses one outside 1e-5 s to 10 s, the limits of the design."""
+    """Return the control `period`, s; an InputError refuses one outside the limits of the design."""
     if not SHORTEST_PERIOD <= period <= LONGEST_PERIOD:
         limits = f"{SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} s"
         raise InputError(f"period is {period!r}, it must be a positive number of seconds from {limits}")
@@ -23,10 +24,10 @@ def check_period(period: float) -> float:
 
 
 def shorter_period(machine: Machine, period: float) -> float | None:
-    """Suggest a shorter control period, s, if all vibrations of a machine on its belts are above half the control rate.
+    """Suggest a shorter control period, s, if a machine's belt modes are all above half the control rate.
 
-    It is 1, 2 or 5 times a power of ten. A sampled controller cannot observe or damp a vibration above half its rate
-    (Nyquist frequency). None if the `period`, s, suffices or no belt vibrates.
+    It is 1, 2 or 5 times a power of ten. A sampled controller cannot observe or damp a vibration above half
+    its rate (Nyquist frequency). None if the `period`, s, suffices or no belt vibrates.
     """
     modes = belt_modes(machine)
     if not modes or modes[0] <= 0.5 / period:

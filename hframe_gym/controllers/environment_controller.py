@@ -21,9 +21,10 @@ class Format(Protocol):
 
 
 class EnvironmentController(Controller):
-    """Controller that reads the observations of one environment, or of a vector of them, as they are returned.
+    """Controller that reads the observations of one environment, or of a vector, as they are returned.
 
-    It undoes the options `normalize`, `flat` and `error`. An observation without batch axis is that of one machine.
+    It undoes the options `normalize`, `flat` and `error`. An observation without batch axis is that of one
+    machine.
     """
 
     feedback: ClassVar[Feedback] = "observation"
@@ -34,7 +35,7 @@ class EnvironmentController(Controller):
 
     @override
     def act(self, observation: Any) -> NDArray[Any]:
-        """Compute the actions from an observation as the environment returns it; a vector's has a first axis of B.
+        """Compute the actions from an observation as the environment returns it; first axis B of a vector.
 
         Returns:
             Voltages divided by the rated voltages, in [-1, 1], float32, shape (drives,) or (B, drives).

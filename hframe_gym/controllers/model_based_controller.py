@@ -2,25 +2,27 @@
 
 For a fixed goal (point-to-point motion):
 
-State feedback     The first voltage of the shortest minimum-energy transfer to rest that stays near the rated voltage
-                   (`MinimumEnergyTransfers`), planned anew from the measured state every period. Far from the goal it
-                   acts as a nearly time-optimal reference that cannot wind up behind saturated motors; near the goal,
-                   where the shortest transfer is admissible, it is a constant (deadbeat) gain.
-Feedforward        The voltage against Coulomb friction and the forces of the machine's effects at the present motion.
-Disturbance        Once the shortest transfer is admissible, the feedforward uses the force that the momentum balance of
-observer           the last period measured, within limits. While static friction holds the stage, the measured force
-                   equals minus the drive force, so that the feedback voltages accumulate until the stage moves, as
-                   with an integrator.
-Motor reference    Motor positions deviate from those of unstretched belts, because modeled forces on the carriage
-                   stretch the belts; at rest the reference follows the measured stretch. A wrong reference would
-                   leave a steady-state error of the tool.
-Swinging loads     The motion of a carriage tells how a slow load on it swings (`SwingingLoads`). The feedforward holds
-                   its force, and the motor reference moves with the stretch that it causes.
-Gain reduction     A stage that keeps moving near its goal rings because the model is inaccurate; transfers of more
-                   periods, that is, lower gains, end the ringing.
+State feedback     The first voltage of the shortest minimum-energy transfer to rest that stays near the rated
+                   voltage (`MinimumEnergyTransfers`), planned anew from the measured state every period. Far
+                   from the goal it acts as a nearly time-optimal reference that cannot wind up behind
+                   saturated motors; near the goal, where the shortest transfer is admissible, it is a
+                   constant (deadbeat) gain.
+Feedforward        The voltage against Coulomb friction and the forces of the machine's effects at the present
+                   motion.
+Disturbance        Once the shortest transfer is admissible, the feedforward uses the force that the momentum
+observer           balance of the last period measured, within limits. While static friction holds the
+                   stage, the measured force equals minus the drive force, so that the feedback voltages
+                   accumulate until the stage moves, as with an integrator.
+Motor reference    Motor positions deviate from those of unstretched belts, because modeled forces on the
+                   carriage stretch the belts; at rest the reference follows the measured stretch. A wrong
+                   reference would leave a steady-state error of the tool.
+Swinging loads     The motion of a carriage tells how a slow load on it swings (`SwingingLoads`). The
+                   feedforward holds its force, and the motor reference moves with the stretch that it causes.
+Gain reduction     A stage that keeps moving near its goal rings because the model is inaccurate; transfers of
+                   more periods, that is, lower gains, end the ringing.
 
-A moving goal, which the observation previews, is tracked by `PreviewTracker`. A dead time of the drives is bridged by
-a state prediction, and their static nonlinearities are inverted (input_compensation.py).
+A moving goal, which the observation previews, is tracked by `PreviewTracker`. A dead time of the drives is
+bridged by a state prediction, and their static nonlinearities are inverted (input_compensation.py).
 """
 
 from __future__ import annotations
@@ -39,17 +41,18 @@ from .models.swinging_loads import SwingingLoads
 from .planning.finite_horizon_control import MinimumEnergyTransfers, PreviewTracker
 
 # The following constants are tuned on randomized H-frames ("default").
-# Largest difference between observed and modeled force, in multiples of the nominal Coulomb friction; larger values are
-# errors of the momentum balance during hard braking.
+# Largest difference between observed and modeled force, in multiples of the nominal Coulomb friction; larger
+# values are errors of the momentum balance during hard braking.
 DISTURBANCE_LIMIT = 6.0
-# Settling from full speed takes three to four times the shortest transfer. Each further SETTLING_ALLOWANCE shortest
-# transfers of motion near the goal lengthen the transfers by one period.
+# Settling from full speed takes three to four times the shortest transfer. Each further SETTLING_ALLOWANCE
+# shortest transfers of motion near the goal lengthen the transfers by one period.
 SETTLING_ALLOWANCE = 6
-# In shortest transfers: a stage with more than this to go beyond the shortest admissible transfer is on its way, and is
-# not ringing around its goal.
+# In shortest transfers: a stage with more than this to go beyond the shortest admissible transfer is on its
+# way, and is not ringing around its goal.
 APPROACH_MARGIN = 2
-# Planned voltage limit over rated voltage. The command is cut to the rated voltage and planned again a period later:
-# that stays closer to full voltage, and later full braking, than a transfer that respects the rated voltage throughout.
+# Planned voltage limit over rated voltage. The command is cut to the rated voltage and planned again a period
+# later: that stays closer to full voltage, and later full braking, than a transfer that respects the rated
+# voltage throughout.
 VOLTAGE_HEADROOM = 1.6
 REST_TRAVEL_M = 3e-5  # m, travel per period below which a stage is at rest
 LONGEST_HOLD = 2.0  # longest transfer of a ringing stage, in shortest transfers
@@ -61,15 +64,15 @@ STRETCH_FILTER_GAIN = 0.2
 class ModelBasedController(FullStateController):
     """Finite-horizon state feedback with disturbance observer and preview, designed from the machine model.
 
-    The registered name `pid` is historical and serves as its short name: like a PID it needs no training and has
-    proportional, derivative and integrating action, but it is not a PID.
+    The registered name `pid` is historical and serves as its short name: like a PID it needs no training and
+    has proportional, derivative and integrating action, but it is not a PID.
 
     Attributes:
         transfers: Feedback gains of the motions to rest at a fixed goal (point-to-point motion).
 
     Raises:
-        InputError: If the machine does not have one drive per axis of its tool, an axis has no range, or the period is
-            invalid.
+        InputError: If the machine does not have one drive per axis of its tool, an axis has no range, or the
+            period is invalid.
     """
 
     feedback: ClassVar[Feedback] = "estimated_state"
@@ -87,8 +90,8 @@ class ModelBasedController(FullStateController):
         self._longest_hold = int(np.ceil(LONGEST_HOLD * self.transfers.shortest))
         self._state = np.zeros((0, 0))  # at the last observation
         self._stretch = np.zeros((0, 0))  # m, motor reference minus that of unstretched belts
-        # Periods since the shortest transfer became admissible, periods of motion near the goal, and periods of the
-        # episode.
+        # Periods since the shortest transfer became admissible, periods of motion near the goal, and periods
+        # of the episode.
         self._settling = self._moving = self._elapsed = np.zeros(0, np.intp)
 
     @override
@@ -121,7 +124,7 @@ class ModelBasedController(FullStateController):
         )
 
     def _track(self, state: Array, goals: Array) -> Array:
-        """Return motor voltages (B, drives) for goals (B, 1 + P, axes), m, now and at the end of each period."""
+        """Return motor voltages (B, drives) for goals (B, 1 + P, axes), m, now and at each period's end."""
         goals = self._dead_time.delayed_goals(goals)
         if self._tracker is None or self._tracker.horizon > goals.shape[1] - 1:
             self._tracker = PreviewTracker(self.model, self.transfers.grid, self.period, goals.shape[1] - 1)
@@ -173,6 +176,6 @@ class ModelBasedController(FullStateController):
         return -model.voltage(np.where(self._settling[:, None] > 0, observed, modeled) + load), effect_force
 
     def _update_stretch(self, measured: Array, modeled: Array, at_rest: NDArray[np.bool_]) -> None:
-        """Update the motor reference from the measured stretch (B, n) while settling, else from the modeled one."""
+        """Update the motor reference from the measured stretch (B, n) while settling, else from the model."""
         filtered = self._stretch + STRETCH_FILTER_GAIN * at_rest[:, None] * (measured - self._stretch)
         self._stretch = np.where(self._settling[:, None] > 0, filtered, modeled)

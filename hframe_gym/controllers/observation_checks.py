@@ -15,7 +15,8 @@ from .models.motion_model import MotionModel
 
 # m. In motion the belts of the stages here stretch by some mm, and end stops yield by less than this.
 LARGEST_STRETCH = 0.05
-# rad. With `normalize=True` an angle is at most 1.5, its bound over its scale; such an angle moves a belt by 1 or 2 cm.
+# rad. With `normalize=True` an angle is at most 1.5, its bound over its scale; such an angle moves a belt by
+# 1 or 2 cm.
 LARGEST_NORMALIZED = 1.5
 _ADVICE = (
     "controllers and agents need SI units by key; "
@@ -25,7 +26,7 @@ _ADVICE = (
 
 
 def check_keys(observation: Any) -> None:
-    """Raise an InputError if an observation is one array, as with the option `flat`, or lacks the batch axis."""
+    """Raise an InputError if an observation is one array, as with `flat`, or lacks the batch axis."""
     if not isinstance(observation, Mapping):
         raise InputError(f"observation is one array of shape {np.shape(observation)}, not a dict: {_ADVICE}")
     if observation["observation"].ndim == 1:
@@ -38,8 +39,9 @@ def check_keys(observation: Any) -> None:
 def check_state_units(observation: KeyedObservation, model: MotionModel) -> None:
     """Check that a full-state observation is not normalized: its angles fit the tool position.
 
-    Where the tool is more than `LARGEST_STRETCH` of belt travel away from the place where all angles are zero, at least
-    one pulley has turned by more than `LARGEST_NORMALIZED`, unless angles and positions are fractions of their ranges.
+    Where the tool is more than `LARGEST_STRETCH` of belt travel away from the place where all angles are
+    zero, at least one pulley has turned by more than `LARGEST_NORMALIZED`, unless angles and positions are
+    fractions of their ranges.
 
     Only observations of environments, which have `achieved_goal`, are checked.
 
@@ -74,10 +76,11 @@ def check_state_units(observation: KeyedObservation, model: MotionModel) -> None
 
 
 def check_goal_units(observation: KeyedObservation, machine: Machine) -> None:
-    """Check that the goals of an observation are in m or rad and not normalized: they lie in the machine's workspace.
+    """Check that an observation's goals are in m or rad and not normalized: they lie in the workspace.
 
-    A real axis may overshoot its workspace: a position may be outside it by up to half its length, and one that no
-    normalization gives is not judged. Only observations of environments, which have `achieved_goal`, are checked.
+    A real axis may overshoot its workspace: a position may be outside it by up to half its length, and one
+    that no normalization gives is not judged. Only observations of environments, which have `achieved_goal`,
+    are checked.
 
     Raises:
         InputError: If a goal is outside the workspace, or a position is as if it were normalized.

@@ -31,7 +31,7 @@ class Estimator(Protocol):
         """Discard the estimates of the machines in the mask (None: all), which start a new episode."""
 
     def update(self, measurements: Array) -> TravelStates:
-        """Estimate the state at the time of new `measurements`, one per sensor, m or rad, shape (B, channels)."""
+        """Estimate the state at new `measurements`, one per sensor, m or rad, shape (B, channels)."""
 
     def send(self, volts: Volts) -> None:
         """Record the commanded voltages of the period that starts now, from which `update` predicts."""

@@ -26,15 +26,16 @@ class PolicyForm(Protocol):
         """Numbers of entries of the arrays, before `apply`, by key."""
 
     def apply(self, observation: dict[str, NDArray[np.float32]]) -> Any:
-        """Convert an `observation` by key, m, rad, m/s and rad/s, shape (n, entries of the key), to this form."""
+        """Convert an `observation` by key, m, rad, m/s and rad/s, shape (n, entries of the key) each."""
 
 
 class PolicyController(Controller):
     """Controller that applies a function of observations in the form of an environment.
 
     Args:
-        policy: Function of n observations, with a first axis of n, that returns actions, shape (n, drives). If it has a
-            method `reset(mask)`, that clears its memory of machines that start a new episode next (None: of all).
+        policy: Function of n observations, with a first axis of n, that returns actions, shape (n, drives).
+            If it has a method `reset(mask)`, that clears its memory of machines that start a new episode next
+            (None: of all).
         form: Form in which the policy observes.
         period: Control period, s.
         full_state: Whether it observes the full state instead of sensors.
@@ -60,8 +61,8 @@ class PolicyController(Controller):
         """Compute the actions.
 
         Raises:
-            InputError: If the observation has other entries than the policy observes, or the policy returns actions of
-                another shape or that are not finite.
+            InputError: If the observation has other entries than the policy observes, or the policy returns
+                actions of another shape or that are not finite.
         """
         self._check_units(observation)
         for key, size in self._form.sizes.items():

@@ -1,22 +1,24 @@
-"""Predictive controller: it identifies the machine within the first periods of an episode, and plans with the result.
+"""Predictive controller: it identifies the machine in an episode's first periods, and plans with the result.
 
 Estimation   `ParameterWindow` compares every measured state with simulations of the period before.
 Moves        A plan of voltages within their limits brings the tool to its goal in the fewest periods
-             (`ArrivalPlanner`), planned anew from the measured state every period. Simulations correct the last periods
-             of the approach and what remains at the goal (`PlanSimulation`).
-Paths        A plan over the previewed goals minimizes the distances to them. Every period it is shifted by one period,
-             simulated from the measured state, and corrected by the linear model (real-time iteration, `_PathPlanner`).
-Memory       All simulations go on from what the machine remembers of the episode: states of effects, such as a
-             hysteresis, and the swing of slow loads (`SimulatedMotion`).
-Disturbance  Where the simulation cannot explain the measured states, because they are inexact or the machine has
-             effects that are not declared, the estimator also varies a voltage at each drive.
+             (`ArrivalPlanner`), planned anew from the measured state every period. Simulations correct the
+             last periods of the approach and what remains at the goal (`PlanSimulation`).
+Paths        A plan over the previewed goals minimizes the distances to them. Every period it is shifted by
+             one period, simulated from the measured state, and corrected by the linear model (real-time
+             iteration, `_PathPlanner`).
+Memory       All simulations go on from what the machine remembers of the episode: states of effects, such as
+             a hysteresis, and the swing of slow loads (`SimulatedMotion`).
+Disturbance  Where the simulation cannot explain the measured states, because they are inexact or the machine
+             has effects that are not declared, the estimator also varies a voltage at each drive.
 
-There is no training. The controller takes 0.1 to 0.4 ms per machine and period in batches, and 1.5 to 6 ms for one.
+There is no training. The controller takes 0.1 to 0.4 ms per machine and period in batches, and 1.5 to 6 ms
+for one.
 
 References:
     Rawlings, Mayne and Diehl (2017), Model Predictive Control: Theory, Computation, and Design.
-    Diehl, Bock and Schloeder (2005), A real-time iteration scheme for nonlinear optimization in optimal feedback
-    control.
+    Diehl, Bock and Schloeder (2005), A real-time iteration scheme for nonlinear optimization in optimal
+    feedback control.
 """
 
 from __future__ import annotations
@@ -47,7 +49,8 @@ DELAYS = (
     2,
     3,
 )  # periods by which the arrival may change from one period to the next, in the order tried
-# Periods before the arrival in which a plan is corrected by simulations, and simulated periods after the arrival.
+# Periods before the arrival in which a plan is corrected by simulations, and simulated periods after the
+# arrival.
 REFINED_PERIODS, PERIODS_BEYOND = 3, 3
 CHANGE_WEIGHT = 1e-5  # m/V, tool error that is as costly as a voltage change of 1 V along a path
 ESTIMATES_CHANGED = 2e-3  # change of an estimate after which linear models are computed again
@@ -58,12 +61,12 @@ class PredictiveController(FullStateController):
     """Model-predictive controller that identifies friction, masses and belts during the episode.
 
     Attributes:
-        feature_sizes: Number of columns of `estimates`, by name; a learned policy on top of this controller observes
-            them.
+        feature_sizes: Number of columns of `estimates`, by name; a learned policy on top of this controller
+            observes them.
 
     Raises:
-        InputError: If the machine does not have one drive per axis of its tool, an axis has no range, or the period is
-            invalid.
+        InputError: If the machine does not have one drive per axis of its tool, an axis has no range, or the
+            period is invalid.
     """
 
     feedback: ClassVar[Feedback] = "estimated_state"
@@ -128,18 +131,18 @@ class PredictiveController(FullStateController):
     def estimates(self) -> Array:
         """Estimated errors of the model's parameters and missing voltages of B machines, dimensionless.
 
-        An array of shape (B, 2 n + 2 b + drives) for n coordinates and b belts. Columns in this order: Coulomb friction
-        of every coordinate, mass of every coordinate, stiffness EA of every belt, length of every belt, each as
-        ln(estimated / declared value), where 0.1 is about 10 % above; then for each drive the voltage that the
-        simulation lacks, as a fraction of the rated voltage.
+        An array of shape (B, 2 n + 2 b + drives) for n coordinates and b belts. Columns in this order:
+        Coulomb friction of every coordinate, mass of every coordinate, stiffness EA of every belt, length of
+        every belt, each as ln(estimated / declared value), where 0.1 is about 10 % above; then for each drive
+        the voltage that the simulation lacks, as a fraction of the rated voltage.
         """
         return self.estimator.estimates
 
     def gain(self) -> Array:
-        """Compute the derivative, with respect to the state, of the voltages that the last call of `act` returned.
+        """Compute the derivative of the voltages that `act` returned last, with respect to the state.
 
-        It is the derivative of the plan with the linear model; corrections of the plan by simulations are ignored. The
-        analytic policy gradient needs it to train a policy that corrects this controller.
+        It is the derivative of the plan with the linear model; corrections of the plan by simulations are
+        ignored. The analytic policy gradient needs it to train a policy that corrects this controller.
 
         Returns:
             Gains, V/m and Vs/m, shape (B, drives, 2 n).
@@ -158,7 +161,7 @@ class PredictiveController(FullStateController):
         return states[:, -1], memories[:, -1]
 
     def _reach(self, state: Array, memory: Array, goals: Array, parameters: Array) -> Array:
-        """Return commanded voltages (B, drives) for states (B, 2 n), goals (B, 1, axes) and parameters (B, P)."""
+        """Return commanded voltages (B, drives) for states (B, 2 n), goals (B, 1, axes), parameters."""
         goal = goals[:, 0]
         error = state - self.model.goal_state(goal)
         elapsed_s = self._elapsed.astype(np.float64) * self.period
@@ -178,7 +181,7 @@ class PredictiveController(FullStateController):
         return volts
 
     def _plan_arrival(self) -> Array:
-        """Return the voltages (B, periods, drives), V, of plans with the earliest arrival, and update its period."""
+        """Return the voltages (B, periods, drives), V, of the plans that arrive first; update its period."""
         new = self._arrival == 0
         if new.any():
             self._arrival[new] = self._earliest_arrival()[new] + 1
@@ -229,7 +232,7 @@ class PredictiveController(FullStateController):
         return best[:, 0] - offset[:, 0]
 
     def _track(self, state: Array, memory: Array, goals: Array, parameters: Array) -> Array:
-        """Return commanded voltages (B, drives) for goals (B, 1 + P, axes), m, now and at the end of each period."""
+        """Return commanded voltages (B, drives) for goals (B, 1 + P, axes), m, now and at periods' ends."""
         goals = self._dead_time.delayed_goals(goals)
         horizon = min(goals.shape[1] - 1, max(1, round(HORIZON_S / self.period)))
         if self._path_planner is None or self._path_planner.horizon != horizon:
@@ -294,7 +297,7 @@ class _PathPlanner:
         return inversion.command(self._volts[:, 0])
 
     def _update_response(self, parameters: Array, points: NDArray[np.intp]) -> None:
-        """Compute the response of the tool at the ends of the periods to the voltages (B, axes H, drives H) anew."""
+        """Compute the tool's response at the periods' ends to the voltages (B, axes H, drives H) anew."""
         if len(self._parameters) == len(parameters) and np.array_equal(points, self._points):
             change = parameters / np.where(self._parameters, self._parameters, 1.0) - 1.0
             if np.abs(change).max() < ESTIMATES_CHANGED:
@@ -313,7 +316,7 @@ class _PathPlanner:
         self._by_state = np.concatenate(by_state, axis=1)
 
     def gain(self) -> Array:
-        """Return the derivative of the first voltages with respect to the state, V/m and Vs/m, (B, drives, 2 n)."""
+        """Return the derivative of the first voltages by the state, V/m and Vs/m, (B, drives, 2 n)."""
         R, D = self._response, CHANGE_WEIGHT * self._difference
         normal = R.transpose(0, 2, 1) @ R + D.T @ D
         gains = -np.linalg.solve(normal, R.transpose(0, 2, 1) @ self._by_state)[:, : len(self._rated)]

@@ -1,12 +1,13 @@
-"""Controller of drives that follow a set point: it streams a trajectory to them, as the planner of a printer does.
+"""Controller of drives that follow a set point: it streams a trajectory to them, like a printer's planner.
 
-The loops are in the drives. What is left is where to be when: the reference of each axis of the tool moves towards the
-goal with limited acceleration, brakes in time and follows a moving goal. Its speed v after a period T from the distance
-e to the goal is that from which constant deceleration a ends at the goal, a T/2 (sqrt(1 + 8 |e|/(a T^2)) - 1).
+The loops are in the drives. What is left is where to be when: the reference of each axis of the tool moves
+towards the goal with limited acceleration, brakes in time and follows a moving goal. Its speed v after a
+period T from the distance e to the goal is that from which constant deceleration a ends at the goal, a T/2
+(sqrt(1 + 8 |e|/(a T^2)) - 1).
 
-Drives that hold their set point do not damp the belts behind them. The set points are therefore means of the reference
-over one period of each lightly damped mode of the machine with its loops, which excites the mode as little as a motion
-that never changed its acceleration.
+Drives that hold their set point do not damp the belts behind them. The set points are therefore means of the
+reference over one period of each lightly damped mode of the machine with its loops, which excites the mode as
+little as a motion that never changed its acceleration.
 
 References:
     Singer and Seering (1990), Preshaping command inputs to reduce system vibration.
@@ -26,12 +27,14 @@ from ..machine import DRIVE_KINDS, Drive, Machine, motion_limits, rest_positions
 from .base import CONTROLLERS, Controller, EpisodeStarts, Feedback
 from .observation_checks import check_goal_units, check_keys
 
-# Part of the drives' largest force that accelerates along one axis. The rest is left for the other axis, for friction
-# and for the loops, which lose the set point while their torque is at its limit.
+# Part of the drives' largest force that accelerates along one axis. The rest is left for the other axis, for
+# friction and for the loops, which lose the set point while their torque is at its limit.
 FORCE_FRACTION = 0.5
-# Correction of the position by a drive of speeds, 1/s: of the control rate, and of the bandwidth of its speed loop.
+# Correction of the position by a drive of speeds, 1/s: of the control rate, and of the bandwidth of its speed
+# loop.
 RATE_FRACTION, BANDWIDTH_FRACTION = 0.2, 0.25
-# Damping ratio below which a vibration lasts longer than the mean over its period, and number of modes that count.
+# Damping ratio below which a vibration lasts longer than the mean over its period, and number of modes that
+# count.
 LIGHT_DAMPING, MOST_MODES = 0.5, 3
 LONGEST_CROSSING_S = 10.0  # s; drives that need longer to cross the workspace have too long a control period
 
@@ -40,17 +43,18 @@ LONGEST_CROSSING_S = 10.0  # s; drives that need longer to cross the workspace h
 class SetPointController(Controller):
     """Stream positions or speeds to drives that follow them.
 
-    A commanded position is ahead of the reference by what a proportional loop lags behind it, speed / position_gain. A
-    commanded speed contains a correction in proportion to the error of the tool's position.
+    A commanded position is ahead of the reference by what a proportional loop lags behind it, speed /
+    position_gain. A commanded speed contains a correction in proportion to the error of the tool's position.
 
     Attributes:
         acceleration: Largest acceleration of the reference along each axis, m/s^2, shape (axes,).
         speed: Largest speed of the reference along each axis, m/s, shape (axes,); infinite without a limit.
-        weights: Weights of the last references in the set points, the latest first, dimensionless, shape (references,).
+        weights: Weights of the last references in the set points, the latest first, dimensionless,
+            shape (references,).
 
     Raises:
-        InputError: If a drive does not follow a position or a speed, or the machine has no tool or not one drive per
-            axis.
+        InputError: If a drive does not follow a position or a speed, or the machine has no tool or not one
+            drive per axis.
     """
 
     feedback: ClassVar[Feedback] = "observation"
@@ -107,12 +111,12 @@ class SetPointController(Controller):
         return weights
 
     def _largest_speed(self, drive: Drive) -> float:
-        """Return the largest speed of a drive's coordinate, m/s or rad/s, by set points that are held over a period."""
+        """Return the largest speed of a drive's coordinate, m/s or rad/s, by set points held for a period."""
         jump = DRIVE_KINDS.get(drive.kind).largest_jump(drive.gear_ratio, drive.law_parameters)
         return min(drive.largest_speed, jump / self.period)
 
     def _correction_rate(self) -> float:
-        """Return the speed that corrects an error of the position, 1/s, below the bandwidth of the slowest drive."""
+        """Return the speed that corrects a position error, 1/s, below the bandwidth of the slowest drive."""
         limits = motion_limits(self.machine)
         inertia = np.array([limits[axis].inertia for axis in self.machine.tool_axes])
         slowest = float(
@@ -126,7 +130,7 @@ class SetPointController(Controller):
 
     @override
     def concern(self) -> str | None:
-        """Return a warning if the rated positions do not reach all of the workspace, or the period is too long."""
+        """Return a warning if the rated positions do not cover the workspace, or the period is too long."""
         machine = self.machine
         ranges = [machine.coordinate(axis).range or (0.0, 0.0) for axis in machine.tool_axes]
         corners = np.stack(np.meshgrid(*ranges, indexing="ij"), axis=-1).reshape(-1, len(ranges))
@@ -185,7 +189,7 @@ class SetPointController(Controller):
         return np.asarray(np.einsum("k,bka->ba", self.weights, references))
 
     def _advance(self, goal: Array, goal_velocity: Array) -> None:
-        """Move the reference by a period towards a goal, m, that moves with a velocity, m/s, shape (B, axes) each."""
+        """Move the reference a period to a goal, m, that moves with a velocity, m/s, shape (B, axes) each."""
         position, velocity = self._reference[:, 0], self._velocity[:, 0]
         distance, per_period = goal - position, self.acceleration * self.period
         periods = 0.5 * (np.sqrt(1.0 + 8.0 * np.abs(distance) / (per_period * self.period)) - 1.0)

@@ -13,8 +13,8 @@ from ..machine import Machine
 from .base import CONTROLLERS, FullStateController
 from .models.motion_model import OperatingPointGrid
 
-# Slowest belt mode, or half the sampling frequency where that is lower, over the bandwidth of the closed loop: the
-# usual rule of thumb.
+# Slowest belt mode, or half the sampling frequency where that is lower, over the bandwidth of the closed
+# loop: the usual rule of thumb.
 FREQUENCY_MARGIN = 5.0
 
 
@@ -22,10 +22,10 @@ FREQUENCY_MARGIN = 5.0
 class TextbookPID(FullStateController):
     """PID control of each axis of the tool; integration stops while a drive saturates (anti-windup).
 
-    Each axis is modeled as a rigid mass m with viscous friction b, m v' = f - b v for velocity v and force f, and the
-    gains put all three closed-loop poles at -w, where w is the frequency of the slowest vibration mode of the belts (or
-    half the sampling frequency, if that is lower) divided by FREQUENCY_MARGIN. The derivative acts on the measured
-    velocity; for a moving goal, on the difference to the goal's velocity.
+    Each axis is modeled as a rigid mass m with viscous friction b, m v' = f - b v for velocity v and force f,
+    and the gains put all three closed-loop poles at -w, where w is the frequency of the slowest vibration
+    mode of the belts (or half the sampling frequency, if that is lower) divided by FREQUENCY_MARGIN. The
+    derivative acts on the measured velocity; for a moving goal, on the difference to the goal's velocity.
 
     Attributes:
         proportional: Proportional gains of the axes, N/m, shape (axes,).
@@ -45,7 +45,8 @@ class TextbookPID(FullStateController):
         super().__init__(machine, period)
         modes = belt_modes(machine)
         bandwidth = 2.0 * np.pi * min([0.5 / period, *modes]) / FREQUENCY_MARGIN  # rad/s
-        # Mass and friction of all coordinates, seen along the axes with unstretched belts, kg and Ns/m, each (axes,).
+        # Mass and friction of all coordinates, seen along the axes with unstretched belts, kg and Ns/m, each
+        # (axes,).
         travel_squared = self.model.rigid**2
         mass, viscous = travel_squared.T @ self.model.mass, travel_squared.T @ self.model.viscous
         # Coefficients of (s + w)^3 = s^3 + 3 w s^2 + 3 w^2 s + w^3 with w = bandwidth.

@@ -1,6 +1,7 @@
 """Validation of recordings before identification (`hframe check`).
 
-Each check returns findings (`Finding`): the severity ("fault", "advice" or "note"), the run, the channel and a message.
+Each check returns findings (`Finding`): the severity ("fault", "advice" or "note"), the run, the channel and
+a message.
 """
 
 from .checks import check_before_fit, check_recordings

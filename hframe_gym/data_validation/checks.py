@@ -56,10 +56,10 @@ _MORE_NOISE = 3.0  # ratio of measured to declared noise above which the noise i
 def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
     """Check recordings of a machine before identification.
 
-    The checks cover the clock, the timing of the voltages, the rest before the motion, the sensors (noise, outliers,
-    wrapped, empty, stuck or clipped channels), the wiring (signs, swapped channels, units, gear ratios), starts from
-    rest against a command, the excitation, and the precision with which parameters can be estimated. If the times of a
-    run appear to be in milliseconds, only this is reported.
+    The checks cover the clock, the timing of the voltages, the rest before the motion, the sensors (noise,
+    outliers, wrapped, empty, stuck or clipped channels), the wiring (signs, swapped channels, units, gear
+    ratios), starts from rest against a command, the excitation, and the precision with which parameters can
+    be estimated. If the times of a run appear to be in milliseconds, only this is reported.
 
     Returns:
         Findings (severity, run, channel, message) sorted by severity: faults first, then advice, then notes.
@@ -93,14 +93,15 @@ def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[
 def check_before_fit(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
     """Find faults in recordings that make a fit meaningless, and defects that impair it.
 
-    `hframe identify` calls this function first. It makes those checks of `check_recordings` that concern the quality of
-    the data: clock, slow sensors, wraps, outliers, motion without input, inputs that never change or are logged late,
-    stuck or clipped outputs, wiring (signs, swapped channels, units, gear ratios), speeds that contradict positions,
-    and starts from rest against a command. It does not check whether the excitation suffices.
+    `hframe identify` calls this function first. It makes those checks of `check_recordings` that concern the
+    quality of the data: clock, slow sensors, wraps, outliers, motion without input, inputs that never change
+    or are logged late, stuck or clipped outputs, wiring (signs, swapped channels, units, gear ratios), speeds
+    that contradict positions, and starts from rest against a command. It does not check whether the
+    excitation suffices.
 
     Returns:
-        Findings (severity, run, channel, message): first those of severity "fault", which make a fit meaningless, then
-        those of severity "advice".
+        Findings (severity, run, channel, message): first those of severity "fault", which make a fit
+        meaningless, then those of severity "advice".
     """
     if wrong_times := times_in_milliseconds(recordings):
         return wrong_times
@@ -113,7 +114,7 @@ def check_before_fit(recordings: Sequence[Recording], machine: Machine) -> list[
 def _prepared(
     recordings: Sequence[Recording], machine: Machine
 ) -> tuple[list[Recording], list[InitialRest], Dataset, list[str]]:
-    """Return the runs without outliers, their rests, the same runs prepared for a fit, and the names of moving runs."""
+    """Return the runs without outliers, their rests, the runs prepared for a fit, and moving runs' names."""
     runs = [usable_run(recording, machine) for recording in recordings]
     cleaned, rests = [run.measured for run in runs], [run.rest for run in runs]
     data, _ = prepare_within_ranges([run.usable for run in runs], machine, SaturationCriteria())
@@ -135,7 +136,8 @@ def _faults_and_advice(
 ) -> list[Finding]:
     """Check sensors, sampling, motion without input, stuck outputs, wiring and the timing of inputs.
 
-    The runs are given as recorded, without outliers (`cleaned`, with their `rests`), and prepared for a fit (`data`).
+    The runs are given as recorded, without outliers (`cleaned`, with their `rests`), and prepared for a fit
+    (`data`).
     """
     findings = slow_sensors([without_wraps(recording, machine) for recording in recordings], machine)
     for recording in recordings:
@@ -162,7 +164,7 @@ def _faults_and_advice(
 
 
 def _position_checks(recordings: Sequence[Recording], data: Dataset, machine: Machine) -> list[Finding]:
-    """Check stuck outputs, wiring and scales of the sensors of positions; they are compared by the kinematics."""
+    """Check stuck outputs, wiring and scales of the sensors of positions, by the kinematics."""
     of_position = machine.position_sensors
     if not of_position.any():
         return []
@@ -248,9 +250,10 @@ def _describe_motion(recording: Recording, rest: InitialRest, names: Sequence[st
 
 
 def _short_rest(recording: Recording, rest: InitialRest, data: Dataset) -> list[Finding]:
-    """Report a run that begins in motion, or whose rest is too short for the initial state and the sensors' zeros.
+    """Report a run that begins in motion, or whose rest is too short for the start and the sensors' zeros.
 
-    A run that begins with an input but without motion, as under closed-loop control, has a known initial state.
+    A run that begins with an input but without motion, as under closed-loop control, has a known initial
+    state.
     """
     if rest.moving.any():
         return []  # reported by `_motion_without_input`

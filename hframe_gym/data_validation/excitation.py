@@ -60,14 +60,14 @@ class _MeasuredMotion:
 def check_excitation(recordings: Sequence[Recording], data: Dataset, machine: Machine) -> list[Finding]:
     """Check whether inputs and motion are rich enough for identification.
 
-    The checks cover constant inputs, inputs above the rated voltage, drive force relative to Coulomb friction, travel
-    relative to the declared range, motion in both directions and at low speed, and the spectrum of the inputs relative
-    to the lowest natural frequency of the belts.
+    The checks cover constant inputs, inputs above the rated voltage, drive force relative to Coulomb
+    friction, travel relative to the declared range, motion in both directions and at low speed, and the
+    spectrum of the inputs relative to the lowest natural frequency of the belts.
 
     Returns:
-        Findings (severity, run, channel, message): "advice" where the excitation is insufficient, or exceeds the rated
-        voltage or the declared range; "note" where it suffices. A finding about a constant input names its run; each of
-        the others concerns all runs together.
+        Findings (severity, run, channel, message): "advice" where the excitation is insufficient, or exceeds
+        the rated voltage or the declared range; "note" where it suffices. A finding about a constant input
+        names its run; each of the others concerns all runs together.
     """
     findings = constant_inputs(recordings, machine) + _overvoltage(recordings, machine)
     if rigid_motions(machine):
@@ -77,10 +77,10 @@ def check_excitation(recordings: Sequence[Recording], data: Dataset, machine: Ma
 
 
 def constant_inputs(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
-    """Report inputs that are constant throughout a run: the drive was not used, or its voltage was not logged.
+    """Report inputs that stay constant in a run: the drive was not used, or its voltage was not logged.
 
-    An input that is zero throughout a run is not reported if it changes in another run, because runs in which a drive
-    is off are useful.
+    An input that is zero throughout a run is not reported if it changes in another run, because runs in which
+    a drive is off are useful.
     """
     used = np.any([np.ptp(recording.inputs, axis=0) > 0.0 for recording in recordings], axis=0)
     return [
@@ -160,8 +160,8 @@ def _amplitude(
 def _frequencies(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
     """Report the spectrum of each input relative to the machine's lowest belt mode.
 
-    What excites the belts is a force. A set point's power says little about it: a position has hardly any at the modes,
-    although its accelerations excite them.
+    What excites the belts is a force. A set point's power says little about it: a position has hardly any at
+    the modes, although its accelerations excite them.
     """
     findings = []
     belts = belt_modes(machine)
@@ -198,7 +198,7 @@ def _frequencies(recordings: Sequence[Recording], machine: Machine) -> list[Find
 
 
 def _measured_motions(data: Dataset, machine: Machine) -> dict[str, _MeasuredMotion]:
-    """Return the motion that all runs together measure along each rigid motion; {} if the sensors do not tell it."""
+    """Return the motion that all runs together measure along each rigid motion; {} if no sensors tell it."""
     M = sensor_motions(machine)  # (sensors, motions)
     names = list(rigid_motions(machine))
     travels: list[Array] = []
@@ -210,8 +210,8 @@ def _measured_motions(data: Dataset, machine: Machine) -> dict[str, _MeasuredMot
             continue
         span = comparison_window(run.outputs[:, measured], run.time_s, _WINDOW)
         bridged = bridge_blanks(run.outputs, run.time_s, span)
-        # A row counts only if all sensors measure in it. Those that pause, as lasers at the end of their range do, are
-        # not needed where the others determine the motion.
+        # A row counts only if all sensors measure in it. Those that pause, as lasers at the end of their
+        # range do, are not needed where the others determine the motion.
         rows = np.isfinite(bridged).sum(axis=0)
         steady = measured & (rows == rows[measured].max())
         if np.linalg.matrix_rank(M[steady]) == len(names):

@@ -28,8 +28,8 @@ class Finding:
     """One result of a check of recordings.
 
     Attributes:
-        severity: "fault" for a certain mistake in the data, which makes a fit meaningless; "advice" for something that
-            is suspect or impairs identification; "note" for a property of the data.
+        severity: "fault" for a certain mistake in the data, which makes a fit meaningless; "advice" for
+            something that is suspect or impairs identification; "note" for a property of the data.
         run: Name of the recording, or "" if the finding is about all of them.
         channel: Name of the column, coordinate or parameter that the finding is about, or "".
         message: What was found, as one sentence.
@@ -52,8 +52,8 @@ def channel_unit(channel: str, machine: Machine) -> str:
     """Return the unit in which messages state the values of a channel.
 
     Returns:
-        The unit of the drive's command or of the sensor. The end of the name takes its place where the kind does not
-        tell: "A" or "Nm" for a drive of the kind "voltage", "m" or "rad" for a sensor of positions.
+        The unit of the drive's command or of the sensor. The end of the name takes its place where the kind
+        does not tell: "A" or "Nm" for a drive of the kind "voltage", "m" or "rad" for a sensor of positions.
     """
     ending = channel.rpartition("_")[2]
     if channel in machine.input_channels:
@@ -72,8 +72,8 @@ def command_in_words(value: float, drive: Drive, machine: Machine) -> str:
         value: Command as in `Recording.inputs`, in the unit of simulations: V, A, Nm, or that of a set point.
 
     Returns:
-        Number and unit, such as "3 V". A duty cycle, which is a voltage in simulations, is stated as a fraction of the
-        rated voltage with the voltage in brackets.
+        Number and unit, such as "3 V". A duty cycle, which is a voltage in simulations, is stated as a
+        fraction of the rated voltage with the voltage in brackets.
     """
     text = f"{value + 0.0:.4g} {channel_unit(drive.channel, machine)}"  # never -0
     if not DRIVE_KINDS.get(drive.kind).fraction:
@@ -84,12 +84,12 @@ def command_in_words(value: float, drive: Drive, machine: Machine) -> str:
 def group_findings(findings: Sequence[Finding]) -> list[Finding]:
     """Merge equal findings of several runs into one, so that a defect of all runs is printed only once.
 
-    Findings belong to one group if severity, channel and message are equal; numbers in the message may differ. Findings
-    about all runs together (`run` is "") are merged only if their messages are identical.
+    Findings belong to one group if severity, channel and message are equal; numbers in the message may
+    differ. Findings about all runs together (`run` is "") are merged only if their messages are identical.
 
     Returns:
-        The first finding of each group, in the order of first occurrence. Its `run` names the first run and the number
-        of further ones, for example "run_01 and 2 more runs".
+        The first finding of each group, in the order of first occurrence. Its `run` names the first run and
+        the number of further ones, for example "run_01 and 2 more runs".
     """
     groups: dict[tuple[str, str, str, bool], list[Finding]] = {}
     for finding in findings:
@@ -106,8 +106,8 @@ def _merged(group: list[Finding]) -> Finding:
 def print_findings(findings: Sequence[Finding], console: Console) -> None:
     """Print the number of findings of each severity, then the findings.
 
-    `group_findings` merges equal findings of several runs first. A terminal shows a table, other output one line of
-    text per finding.
+    `group_findings` merges equal findings of several runs first. A terminal shows a table, other output one
+    line of text per finding.
     """
     groups = group_findings(findings)
     plurals = {"fault": "faults", "advice": "advice", "note": "notes"}
@@ -127,7 +127,7 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
 
 
 def refuse_faults(findings: Sequence[Finding], folder: Path) -> None:
-    """Raise an InputError if there are faults; it states file, channel and message of each, and the option --force."""
+    """Raise an InputError if there are faults, with file, channel and message of each, and --force."""
     faults = [finding for finding in findings if finding.severity == "fault"]
     if not faults:
         return
@@ -141,6 +141,6 @@ def refuse_faults(findings: Sequence[Finding], folder: Path) -> None:
 
 
 def write_findings(findings: Sequence[Finding], path: Path) -> None:
-    """Write findings as JSON: `{"schema": 1, "findings": [{"severity", "run", "channel", "message"}, ...]}`."""
+    """Write findings as JSON: `{"schema": 1, "findings": [{"severity", "run", "channel", "message"}]}`."""
     content = {"schema": _SCHEMA_VERSION, "findings": [asdict(f) for f in findings]}
     write_text(path, json.dumps(content, indent=1) + "\n")

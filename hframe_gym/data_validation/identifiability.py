@@ -1,7 +1,7 @@
 """Check identifiability: Cramer-Rao bounds of the parameters.
 
-The bounds are evaluated for simulations of the declared machine, with white residuals of the size of the sensors'
-noise. A fit of real data has larger errors, because no model is exact.
+The bounds are evaluated for simulations of the declared machine, with white residuals of the size of the
+sensors' noise. A fit of real data has larger errors, because no model is exact.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class CramerRaoBound:
 
     Attributes:
         name: Full name of the parameter, e.g. `x.coulomb`.
-        relative_std: Smallest possible standard deviation divided by the absolute value of the parameter; infinite if
-            the parameter has no influence on the measurements.
+        relative_std: Smallest possible standard deviation divided by the absolute value of the parameter;
+            infinite if the parameter has no influence on the measurements.
         partner: Name of the parameter with the largest absolute correlation, "" if there is no other.
     """
 
@@ -49,10 +49,11 @@ class CramerRaoBound:
 
 
 def cramer_rao_bounds(data: Dataset, machine: Machine, names: Sequence[str] = ()) -> list[CramerRaoBound]:
-    """Compute how precisely recordings can determine parameters: Cramer-Rao bounds on their standard deviations.
+    """Compute how well recordings determine parameters: Cramer-Rao bounds on their standard deviations.
 
-    The bounds assume that all these parameters are estimated jointly, without priors, from simulations of the declared
-    machine (without feedback of measurements) with white sensor noise. The first 20,000 rows of each run are used.
+    The bounds assume that all these parameters are estimated jointly, without priors, from simulations of the
+    declared machine (without feedback of measurements) with white sensor noise. The first 20,000 rows of each
+    run are used.
 
     References:
         Ljung, System Identification (1999), section 7.4.
@@ -62,9 +63,10 @@ def cramer_rao_bounds(data: Dataset, machine: Machine, names: Sequence[str] = ()
         names: Full names of the parameters. Default: the parameters that identification refits.
 
     Returns:
-        One bound per parameter, in the order of `names`; parameters whose value is zero are left out. It contains the
-        smallest possible standard deviation divided by |value|, dimensionless (infinite for a parameter without
-        influence on the measurements), the parameter with the largest correlation, and this correlation, -1 to 1.
+        One bound per parameter, in the order of `names`; parameters whose value is zero are left out. It
+        contains the smallest possible standard deviation divided by |value|, dimensionless (infinite for a
+        parameter without influence on the measurements), the parameter with the largest correlation, and this
+        correlation, -1 to 1.
 
     Raises:
         KeyError: If the machine has no parameter of a given name.
@@ -74,8 +76,9 @@ def cramer_rao_bounds(data: Dataset, machine: Machine, names: Sequence[str] = ()
 
 
 def _relative_information(data: Dataset, machine: Machine, names: Sequence[str]) -> tuple[list[str], Array]:
-    """Return the parameters that are not zero, and the information matrix (k, k) of their relative changes."""
-    # Derivatives are with respect to relative changes of the parameters, which do not exist for a value of zero.
+    """Return the nonzero parameters, and the information matrix (k, k) of their relative changes."""
+    # Derivatives are with respect to relative changes of the parameters, which do not exist for a value of
+    # zero.
     names = [name for name in names if machine.parameters[name] != 0.0]
     data = dataclasses.replace(data, runs=tuple(run.first_rows(_MAX_ROWS) for run in data.runs))
     at_declared = np.zeros(len(names))
@@ -93,14 +96,14 @@ def _relative_information(data: Dataset, machine: Machine, names: Sequence[str])
 def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
     """Report how precisely the recordings can determine each parameter that identification refits.
 
-    The precision is the Cramer-Rao bound: the smallest standard deviation of any unbiased estimate. Viscous friction
-    and back-EMF of a motor brake its motion alike; if the runs cannot separate them, the precision of their sum is
-    given.
+    The precision is the Cramer-Rao bound: the smallest standard deviation of any unbiased estimate. Viscous
+    friction and back-EMF of a motor brake its motion alike; if the runs cannot separate them, the precision
+    of their sum is given.
 
     Returns:
-        One finding (severity, channel, message) per parameter or sum: advice if its relative standard deviation exceeds
-        10 %, otherwise a note; and one of advice each for all parameters without influence on the measurements and for
-        all that the recordings do not determine.
+        One finding (severity, channel, message) per parameter or sum: advice if its relative standard
+        deviation exceeds 10 %, otherwise a note; and one of advice each for all parameters without influence
+        on the measurements and for all that the recordings do not determine.
     """
     names, information = _relative_information(
         data, machine, [f.name for f in default_free_parameters(machine)]
@@ -124,7 +127,7 @@ def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
 
 
 def findings_of_bounds(bounds: Sequence[CramerRaoBound]) -> list[Finding]:
-    """Report bounds of parameters, each alone, but those without influence together and those that are undetermined.
+    """Report bounds of parameters: alone, or together those without influence and the undetermined ones.
 
     Args:
         bounds: Bounds of parameters that are estimated jointly.
@@ -159,7 +162,7 @@ def findings_of_bounds(bounds: Sequence[CramerRaoBound]) -> list[Finding]:
 
 
 def _inseparable_damping(bounds: Sequence[CramerRaoBound], machine: Machine) -> dict[str, tuple[str, float]]:
-    """Return back-EMF constants that nothing separates from a viscous friction, its name, and its part of their sum."""
+    """Return back-EMF constants that nothing separates from a viscous friction, its name, and its part."""
     correlated = {(b.name, b.partner) for b in bounds if b.correlation < -_INSEPARABLE}
     sums = {}
     sensed = {name for sensor in machine.sensors if sensor.quantity == "current" for name in sensor.row}
@@ -184,13 +187,14 @@ def _residual_model(data: Dataset, machine: Machine, names: Sequence[str], direc
 
 
 def _joint_bounds(names: Sequence[str], information: Array) -> list[CramerRaoBound]:
-    """Invert an information matrix (k, k) of relative changes, without the parameters that have no influence."""
+    """Invert an information matrix (k, k) of relative changes, without parameters that have no influence."""
     sensitivity = np.sqrt(np.diag(information))
     influential = sensitivity > _NO_INFLUENCE * max(float(sensitivity.max(initial=0.0)), _TINY)
     kept = [name for name, used in zip(names, influential, strict=True) if used]
     scale = sensitivity[influential]
     normalized = information[np.ix_(influential, influential)] / np.outer(scale, scale)
-    # Parameters that cannot be separated make the matrix singular; rounding may even make an eigenvalue negative.
+    # Parameters that cannot be separated make the matrix singular; rounding may even make an eigenvalue
+    # negative.
     eigenvalues, eigenvectors = np.linalg.eigh(normalized)
     covariance = (eigenvectors / np.maximum(eigenvalues, _SINGULAR)) @ eigenvectors.T
     std = np.sqrt(np.diag(covariance))

@@ -1,4 +1,4 @@
-"""Recognize inputs that were measured: their noise acts on a simulated machine as a force that the real one lacked."""
+"""Recognize measured inputs: their noise acts on a simulated machine as a force that the real one lacked."""
 
 from __future__ import annotations
 

@@ -1,8 +1,9 @@
-"""Checks of the timing: clock, lost samples, sensors that are slower than the log, and voltages that are logged late.
+"""Checks of the timing: clock, lost samples, sensors slower than the log, and voltages that are logged late.
 
-A recording holds in each row the voltage that acts from its time to the time of the next row. Many loggers write the
-voltage that has acted until then, so that every voltage is one row late. A delay of the response has physical causes,
-which identification can find; a response before its cause has none, unless too long a delay is declared.
+A recording holds in each row the voltage that acts from its time to the time of the next row. Many loggers
+write the voltage that has acted until then, so that every voltage is one row late. A delay of the response
+has physical causes, which identification can find; a response before its cause has none, unless too long a
+delay is declared.
 """
 
 from __future__ import annotations
@@ -47,9 +48,9 @@ _ITERATIONS = 10  # of a fit that need not converge fully
 _CERTAIN = 0.7  # fraction of chi-squared below which the earlier voltages certainly explain the motion better
 _PAST_ROWS = 4  # from which a measurement is predicted; two suffice for a mass without noise
 _CHANCE = 1e-6  # probability below which measurements certainly depend on the voltages of their own rows
-# Response of a measurement to the voltage of its own row / to a voltage that acts for a whole row. On 39 sets whose
-# voltages are in time, it is at most 0.33 where it is significant (a controller that is faster than the log changes the
-# voltage between the rows); with voltages that are late by a row, 1.1 and more.
+# Response of a measurement to the voltage of its own row / to a voltage that acts for a whole row. On 39 sets
+# whose voltages are in time, it is at most 0.33 where it is significant (a controller that is faster than the
+# log changes the voltage between the rows); with voltages that are late by a row, 1.1 and more.
 _WHOLE_ROW = 0.5
 _EXPLAINED = 10.0  # chi-squared per sample of an explained motion: an error of three times the noise
 _OWN_ROW = 0.1  # fraction of what previous rows do not predict that the own row must explain instead
@@ -74,12 +75,13 @@ def check_sampling(recording: Recording, stamp_jitter: float = 0.0) -> list[Find
 
     Args:
         recording: Run with the times that identification uses.
-        stamp_jitter: Standard deviation of the logged stamps around these times, s, where equal steps replace them.
+        stamp_jitter: Standard deviation of the logged stamps around these times, s, where equal steps replace
+            them.
 
     Returns:
-        Findings (severity, run, channel, message). Fewer rows than identification needs (20) are a fault. Lost samples,
-        times that are late although no row is missing, a duration above 120 s and a jitter above 10 % of the period are
-        advice; a jitter of 2 % to 10 % is a note. Empty if nothing is wrong.
+        Findings (severity, run, channel, message). Fewer rows than identification needs (20) are a fault.
+        Lost samples, times that are late although no row is missing, a duration above 120 s and a jitter
+        above 10 % of the period are advice; a jitter of 2 % to 10 % is a note. Empty if nothing is wrong.
     """
     steps = np.diff(recording.time_s)
     if len(steps) + 1 < MIN_ROWS:
@@ -137,7 +139,7 @@ def check_sampling(recording: Recording, stamp_jitter: float = 0.0) -> list[Find
 
 
 def _late_stamps(time_s: Array, gaps: NDArray[np.bool_]) -> bool:
-    """Return whether long steps, `gaps` (n - 1,), are late time stamps: short steps follow, and no row is missing."""
+    """Return whether long steps, `gaps` (n - 1,), are late stamps: short ones follow, no row is missing."""
     steps = np.diff(time_s)
     short = steps < (2.0 - GAP_PERIODS) * np.median(steps)
     if np.count_nonzero(short) < 0.5 * np.count_nonzero(gaps):
@@ -165,7 +167,7 @@ def sampling_rate(recordings: Sequence[Recording]) -> Finding:
 
 
 def overlapping_clocks(recordings: Sequence[Recording]) -> list[Finding]:
-    """Report, in one note, that the times of runs overlap, which shows that the clock restarted with each run.
+    """Report, in one note, that the times of runs overlap: the clock restarted with each run.
 
     Identification can find a drift (a slow change from run to run) only if all runs have a common clock.
     """
@@ -181,7 +183,7 @@ def overlapping_clocks(recordings: Sequence[Recording]) -> list[Finding]:
 
 
 def slow_sensors(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
-    """Report channels whose sensor measures less often than a row is logged, so that rows repeat a measurement."""
+    """Report channels whose sensor measures less often than rows are logged, so that rows repeat values."""
     findings = []
     for j, channel in enumerate(machine.output_channels):
         counts = {r.name: count for r in recordings if (count := repetitions(r.outputs[:, j])) > 1.0}
@@ -195,20 +197,22 @@ def slow_sensors(recordings: Sequence[Recording], machine: Machine) -> list[Find
 
 
 def check_input_timing(data: Dataset, machine: Machine) -> list[Finding]:
-    """Report voltages that are logged one row late: shifted to one row earlier, they explain the motion clearly better.
+    """Report voltages that are logged one row late: one row earlier, they explain the motion clearly better.
 
-    The machine's parameters are fitted twice, with the voltages as logged and with the voltages of the next row. Of the
-    runs with at most 20,000 rows, the three with the largest changes of the voltages are used. The finding is a fault
-    only if measurements depend on the voltage of their row, which is impossible if this voltage acts from the time of
-    the row on; if they do so as strongly as on a voltage that acts for a whole row; and if the shifted voltages explain
-    the motion, or those of the own row at least a tenth of what previous rows do not predict. Otherwise it is advice,
-    because a force or a mass that the machine lacks can also make the shifted voltages fit better.
+    The machine's parameters are fitted twice, with the voltages as logged and with the voltages of the next
+    row. Of the runs with at most 20,000 rows, the three with the largest changes of the voltages are used.
+    The finding is a fault only if measurements depend on the voltage of their row, which is impossible if
+    this voltage acts from the time of the row on; if they do so as strongly as on a voltage that acts for a
+    whole row; and if the shifted voltages explain the motion, or those of the own row at least a tenth of
+    what previous rows do not predict. Otherwise it is advice, because a force or a mass that the machine
+    lacks can also make the shifted voltages fit better.
 
     Returns:
-        One finding (fault or advice) about all runs together if the second fit has less than 70 % of the chi-squared
-        (sum of squared errors divided by the noise variances) of the first, otherwise an empty list. Also empty if all
-        runs have more than 20,000 rows, or if the declared machine has a delay or an effect with a state (lag,
-        hysteresis, loop of a drive), because too large a declared delay would make the response seem early as well.
+        One finding (fault or advice) about all runs together if the second fit has less than 70 % of the
+        chi-squared (sum of squared errors divided by the noise variances) of the first, otherwise an empty
+        list. Also empty if all runs have more than 20,000 rows, or if the declared machine has a delay or an
+        effect with a state (lag, hysteresis, loop of a drive), because too large a declared delay would make
+        the response seem early as well.
     """
     runs = _with_largest_changes(data)
     acting = (*machine.drive_laws, *machine.effects)
@@ -246,8 +250,8 @@ def check_voltages_between_rows(data: Dataset, machine: Machine) -> list[Finding
     """Report voltages that change between the rows, because the controller is faster than the log.
 
     Returns:
-        One finding of severity "advice" about all runs together, or none; see `voltage_updates`. None as well if all
-        runs have more than 20,000 rows.
+        One finding of severity "advice" about all runs together, or none; see `voltage_updates`. None as well
+        if all runs have more than 20,000 rows.
     """
     runs = _with_largest_changes(data)
     if not runs.runs:
@@ -287,11 +291,12 @@ class _Feedthrough(NamedTuple):
 def _feedthrough(runs: Sequence[PreparedRecording], machine: Machine) -> _Feedthrough:
     """Test whether measurements depend on the voltages of their own rows, which act only afterwards.
 
-    An F-test compares two linear regressions: from voltages and measurements of the previous four rows, and from the
-    voltages of the own row as well. In open loop, it holds for any missing effect, because the part of a voltage that
-    previous rows do not predict is independent of the motion. A controller makes voltages depend on the measurements of
-    their own row, but with the opposite sign, for which `machine` is needed; such a dependence does not count. Sensors
-    that measured in less than half of the rows are ignored. Without complete rows or motion, the probability is 1.
+    An F-test compares two linear regressions: from voltages and measurements of the previous four rows, and
+    from the voltages of the own row as well. In open loop, it holds for any missing effect, because the part
+    of a voltage that previous rows do not predict is independent of the motion. A controller makes voltages
+    depend on the measurements of their own row, but with the opposite sign, for which `machine` is needed;
+    such a dependence does not count. Sensors that measured in less than half of the rows are ignored. Without
+    complete rows or motion, the probability is 1.
     """
     period = float(np.median(np.concatenate([np.diff(r.time_s) for r in runs])))
     drives = runs[0].inputs.shape[1]
@@ -324,7 +329,7 @@ def _feedthrough(runs: Sequence[PreparedRecording], machine: Machine) -> _Feedth
 
 
 def _directions(machine: Machine) -> Array:
-    """Return the accelerations of the sensors per volt of each drive, with stiff belts, SI, shape (sensors, drives)."""
+    """Return the sensors' accelerations per volt of each drive, with stiff belts, SI, (sensors, drives)."""
     rigid = rigid_basis(machine)
     mass = np.array([c.mass for c in machine.coordinates])
     force = np.column_stack([machine.coefficients({d.coordinate: d.gain}) for d in machine.drives])

@@ -1,8 +1,8 @@
 """Find wrong scales: units and gear ratios of the outputs, and the unit of time.
 
-A factor between measured and simulated motion may come from the column (turns instead of radians) or from the machine
-file (another gain). It is a fault only if another sensor decides between them, or if the factor is that of a unit and,
-with it, inertia and friction agree with the machine file as well. Otherwise it is advice.
+A factor between measured and simulated motion may come from the column (turns instead of radians) or from the
+machine file (another gain). It is a fault only if another sensor decides between them, or if the factor is
+that of a unit and, with it, inertia and friction agree with the machine file as well. Otherwise it is advice.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from .travel_ratios import check_travel_ratios
 from .wiring import declared_balance, rigid_prediction
 
 _SPEED_FACTOR = 8.0  # factor between measured and simulated speed beyond which a unit is always suspected
-# A smaller factor is suspected if it is that of a unit in every run, and if inertia and friction need the same factor,
-# since a spring slows a motion, too. It may be off by 1.5: motors are specified within some 20 %, and friction slows
-# small motions.
+# A smaller factor is suspected if it is that of a unit in every run, and if inertia and friction need the
+# same factor, since a spring slows a motion, too. It may be off by 1.5: motors are specified within some
+# 20 %, and friction slows small motions.
 _NEAR_UNIT = 1.5
 # Factor between the motion of a channel and what the others predict for it, beyond which they contradict it.
 _CONTRADICTION = 4.0
@@ -45,8 +45,8 @@ _POSITION_CORRELATION = 0.5  # largest correlation of its changes with the simul
 def check_scales(data: Dataset, machine: Machine) -> list[Finding]:
     """Check for channels with a wrong unit or gear ratio, and for times in a wrong unit.
 
-    For units, measured speeds are compared with those of a simulation with the recorded voltages; for gear ratios,
-    encoders with other sensors; for times, fitted inertia and friction with the declared ones.
+    For units, measured speeds are compared with those of a simulation with the recorded voltages; for gear
+    ratios, encoders with other sensors; for times, fitted inertia and friction with the declared ones.
     """
     balance = declared_balance(data, machine)
     clock = check_time_unit(data, balance)
@@ -68,10 +68,11 @@ def check_scales(data: Dataset, machine: Machine) -> list[Finding]:
 
 
 def _units(motion: SpanMotion, data: Dataset, machine: Machine, balance: Balance | None) -> list[Finding]:
-    """Report channels whose measured speed is a multiple or a fraction of the simulated one, and speeds as positions.
+    """Report channels whose measured speed is a multiple of the simulated one, and speeds as positions.
 
-    This is a fault if the other channels contradict the channel too, or if no other channel measures the motion and
-    everything agrees with the factor of a unit. Otherwise the machine file may be wrong, and the finding is advice.
+    This is a fault if the other channels contradict the channel too, or if no other channel measures the
+    motion and everything agrees with the factor of a unit. Otherwise the machine file may be wrong, and the
+    finding is advice.
     """
     findings = []
     for j, sensor in enumerate(machine.sensors):
@@ -132,9 +133,10 @@ def _is_extreme(factor: float) -> bool:
 
 
 def _suspect(factor: float, unit: str, resolution: float) -> tuple[float, str] | None:
-    """Return value per SI unit and name of the unit that explains a factor between measured and simulated speed.
+    """Return value and name of the unit that explains a factor between measured and simulated speed.
 
-    The simulated speed is only as right as the machine file: where possible, counts are those of the `resolution`.
+    The simulated speed is only as right as the machine file: where possible, counts are those of the
+    `resolution`.
     """
     if factor <= 0.0:
         return None
@@ -150,7 +152,7 @@ def _suspect(factor: float, unit: str, resolution: float) -> tuple[float, str] |
 
 
 def _in_every_run(motion: SpanMotion, sensor: int, value: float) -> bool:
-    """Return whether the speed of a sensor differs from the simulated one by the factor of a unit in every run."""
+    """Return whether a sensor's speed differs from the simulated one by a unit's factor in every run."""
     return all(
         abs(math.log(ratio / value)) < math.log(_UNIT_TOLERANCE)
         for ratio in motion.speed_ratios_by_run(sensor)
@@ -158,7 +160,7 @@ def _in_every_run(motion: SpanMotion, sensor: int, value: float) -> bool:
 
 
 def _agrees(balance: Balance | None, value: float) -> bool:
-    """Return whether inertia and friction agree with the machine file once the measurements are divided by a value."""
+    """Return whether inertia and friction agree with the machine file after division by a value."""
     if balance is None or balance.unexplained > EXPLAINED:
         return False
     ratios = value * np.concatenate([balance.inertia, balance.viscous])

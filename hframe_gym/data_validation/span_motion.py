@@ -23,7 +23,8 @@ MIN_ROWS = 10  # rows that a correlation or slope needs
 class SpanMotion:
     """Measured and simulated motion over short spans of time of one length, of all runs together.
 
-    A change over a span is the mean speed times the length of the span, so that ratios of changes are those of speeds.
+    A change over a span is the mean speed times the length of the span, so that ratios of changes are those
+    of speeds.
 
     Attributes:
         measured: Changes of the measurements over each span, in the sensors' units, shape (rows, sensors).
@@ -38,7 +39,7 @@ class SpanMotion:
     run: NDArray[np.int_]
 
     def speed_ratio(self, sensor: int) -> float:
-        """Return the ratio of measured to simulated speed of a sensor, root mean square; 0 if nothing moves."""
+        """Return the ratio of measured to simulated speed of a sensor, root mean square; 0 without motion."""
         return self._ratio(np.isfinite(self.measured[:, sensor]), sensor)
 
     def speed_ratios_by_run(self, sensor: int) -> list[float]:
@@ -97,7 +98,7 @@ def _first_rows(run: PreparedRecording) -> PreparedRecording:
 
 
 def _simulate_outputs(machine: Machine, run: PreparedRecording) -> Array:
-    """Simulate outputs, shape (n, sensors), from the center of the workspace or, if it is commanded, that position.
+    """Simulate outputs, shape (n, sensors), from the workspace's center or a commanded position.
 
     A measured position in a wrong unit would be far outside.
     """

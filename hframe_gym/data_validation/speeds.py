@@ -15,8 +15,8 @@ from ..recordings import Recording
 from .findings import Finding
 from .wiring import rigid_prediction
 
-# Fraction of a run over which motions are compared: long enough for filters of speeds and steps of positions, short
-# enough that an offset of the speed does not add up.
+# Fraction of a run over which motions are compared: long enough for filters of speeds and steps of positions,
+# short enough that an offset of the speed does not add up.
 _WINDOW = 0.1
 _MIN_WINDOWS = 20  # that a ratio needs, all runs together
 _LARGEST_RATIO = 1.5  # of speeds; a tachometer may be wrong by 20 %, and identification finds that
@@ -24,7 +24,7 @@ _CORRELATION = 0.9  # below it, something else than a factor is wrong, or the mo
 
 
 def check_speeds(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
-    """Report, as faults, sensors of signed speeds that measure a multiple of the rate at which the positions change."""
+    """Report, as faults, sensors of signed speeds that measure a multiple of the rate of the positions."""
     speeds = [j for j, sensor in enumerate(machine.sensors) if sensor.of_velocity]
     positions = machine.position_sensors
     if not speeds or not positions.any():
@@ -46,7 +46,7 @@ def check_speeds(recordings: Sequence[Recording], machine: Machine) -> list[Find
 
 
 def _changes(recording: Recording, speed: int, positions: NDArray[np.bool_], machine: Machine) -> Array:
-    """Return integrals of a speed over parts of a run, and the changes that the positions predict, shape (parts, 2)."""
+    """Return integrals of a speed over parts of a run, and those that positions predict, shape (parts, 2)."""
     values = recording.outputs[:, speed]
     rows = np.flatnonzero(np.isfinite(values))
     prediction = rigid_prediction(np.where(positions, recording.outputs, np.nan), speed, machine)

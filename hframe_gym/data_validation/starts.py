@@ -1,8 +1,8 @@
-"""Find runs in which a machine starts from rest against its drive: a command without its sign, or with the wrong one.
+"""Find runs in which a machine starts from rest against its drive: a command without or with a wrong sign.
 
-Where a machine rests without a command, friction holds all other forces, so that no command can start it in the other
-direction. Springs and weights, which the machine file may lack, do not matter then. In a steady motion they do: a hoist
-lowers its load against its motor.
+Where a machine rests without a command, friction holds all other forces, so that no command can start it in
+the other direction. Springs and weights, which the machine file may lack, do not matter then. In a steady
+motion they do: a hoist lowers its load against its motor.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from .findings import Finding
 from .stuck_outputs import NOISE_SPAN
 
 _MIN_REST = 0.05  # s, without a command; a shorter one may be the reversal of a motion
-# Fraction of the channel's span in all runs, or of its largest speed, that is a motion: not the recoil of a gear or the
-# reaction of a swinging payload.
+# Fraction of the channel's span in all runs, or of its largest speed, that is a motion: not the recoil of a
+# gear or the reaction of a swinging payload.
 _STARTED = 0.1
-# Of a run's starts. A log without signs of a machine that moves to and fro has half of them against the command; fewer
-# may be pushes by hand.
+# Of a run's starts. A log without signs of a machine that moves to and fro has half of them against the
+# command; fewer may be pushes by hand.
 _AGAINST = 0.5
 
 
@@ -43,9 +43,9 @@ class Start(NamedTuple):
 def check_starts(recordings: Sequence[Recording], data: Dataset, machine: Machine) -> list[Finding]:
     """Report runs in which a coordinate starts from rest against its drives in half of its starts or more.
 
-    It is a fault for voltages and duty cycles. For currents and torques it is advice, because a brake that opens lets a
-    weight sink against the torque. Machines with belts have no findings, since other motors move a coordinate as well,
-    nor have those with a drive whose force is not in proportion to its command.
+    It is a fault for voltages and duty cycles. For currents and torques it is advice, because a brake that
+    opens lets a weight sink against the torque. Machines with belts have no findings, since other motors move
+    a coordinate as well, nor have those with a drive whose force is not in proportion to its command.
 
     Args:
         recordings: Runs without outliers in which something moves, at least one.
@@ -92,15 +92,15 @@ def starts_from_rest(
 ) -> Iterator[Start]:
     """Yield the starts of a run from a rest without force.
 
-    Until the motion has reached its size, the force never changes its sign. The rest has lasted at least as long as
-    that took, so that no slow motion from before passes for a start, and nothing moved the other way since the force
-    began: a wheel that is stopped may spring back.
+    Until the motion has reached its size, the force never changes its sign. The rest has lasted at least as
+    long as that took, so that no slow motion from before passes for a start, and nothing moved the other way
+    since the force began: a wheel that is stopped may spring back.
 
     Args:
         time_s: Times, s, shape (n,).
         force: Force of the drives, N or Nm, shape (n,).
-        values: Positions or speeds in the direction of the force, m, rad, m/s or rad/s, NaN where not measured, shape
-            (n,).
+        values: Positions or speeds in the direction of the force, m, rad, m/s or rad/s, NaN where not
+            measured, shape (n,).
         resting: Largest change of the values at rest, in their unit.
         moving: Change of the values that is a motion, in their unit, more than `resting`.
     """

@@ -17,14 +17,15 @@ from .wiring import rigid_misfit, rigid_prediction
 
 _STUCK_AFTER = 0.1  # s; a channel that is constant for a shorter time is not stuck
 _LONGEST_BLANK = 0.02  # s; longer times between two measurements are not bridged
-_MOVES = 0.1  # fraction of a channel's span in the run; a channel that should have moved by less may have been at rest
+# Fraction of a channel's span in the run; a channel that should have moved by less may have been at rest.
+_MOVES = 0.1
 _STRETCH_MARGIN = 2.0  # factor by which the declared friction, drives and stiffness may be wrong
 # Peak-to-peak noise in standard deviations; about that of 20 000 normally distributed samples.
 NOISE_SPAN = 8.0
 # Pairs of successive measurements at rest, at least, and fraction of equal ones, at most, of a noisy sensor.
 _MIN_PAIRS, _MAX_EQUAL = 30, 0.01
-# Multiple of the declared friction and fraction of the rated force that certainly move a coordinate, and the fraction
-# of an interval in which they act in each direction.
+# Multiple of the declared friction and fraction of the rated force that certainly move a coordinate, and the
+# fraction of an interval in which they act in each direction.
 _PUSH, _RATED_PUSH, _MIN_PUSHED = 5.0, 0.2, 0.1
 _DRIVEN = "while its drive pushes in both directions"
 _CONSISTENT = 0.3  # fraction of the motion; other channels that contradict each other by more prove nothing
@@ -37,12 +38,13 @@ def stuck_outputs(recordings: Sequence[Recording], machine: Machine) -> list[Fin
 
     - The other channels show that its coordinate moves.
     - The sensor has noise at rest, so that its measurements are never constant.
-    - Its drive pushes the coordinate in both directions with several times the friction force. This reason counts only
-      if no other channels determine the motion of the coordinate, and for machines without belts.
+    - Its drive pushes the coordinate in both directions with several times the friction force. This reason
+      counts only if no other channels determine the motion of the coordinate, and for machines without belts.
 
-    The finding is a fault, with two exceptions, in which it is advice: for the third reason, because the drive may have
-    been off; and if a sensor with a fixed zero (no incremental encoder) stays at the smallest or largest value of all
-    runs, because it may have reached the end of its range. Identification leaves out measurements at such an end.
+    The finding is a fault, with two exceptions, in which it is advice: for the third reason, because the
+    drive may have been off; and if a sensor with a fixed zero (no incremental encoder) stays at the smallest
+    or largest value of all runs, because it may have reached the end of its range. Identification leaves out
+    measurements at such an end.
 
     Returns:
         At most one finding for each run and channel, about the longest interval in which it is stuck.
@@ -83,7 +85,7 @@ def _ends(outputs: Array) -> tuple[Array, Array]:
 
 
 def _without_ends(outputs: Array, ends: Array, machine: Machine) -> Array:
-    """Return outputs (n, sensors) with NaN where a sensor with a fixed zero may be at the end of its range."""
+    """Return outputs (n, sensors) with NaN where one with a fixed zero may be at the end of its range."""
     margin = np.array([max(3 * sensor.noise, sensor.resolution) for sensor in machine.sensors])
     fixed = np.array([not sensor.incremental for sensor in machine.sensors])
     at_end = (outputs <= ends[0] + margin) | (outputs >= ends[1] - margin)
@@ -93,7 +95,7 @@ def _without_ends(outputs: Array, ends: Array, machine: Machine) -> Array:
 def _longest_stuck_interval(
     recording: Recording, inside: Array, channel: int, ends: Array, noisy: bool, machine: Machine
 ) -> tuple[float, float, str]:
-    """Return duration, s, value and reason of the longest interval in which a channel is stuck; 0 s if none."""
+    """Return duration, s, value and reason of the longest interval with a stuck channel; 0 s if none."""
     measured = np.flatnonzero(np.isfinite(recording.outputs[:, channel]))
     values, time_s = recording.outputs[measured, channel], recording.time_s[measured]
     prediction = rigid_prediction(inside, channel, machine)
@@ -136,10 +138,10 @@ def _noisy_at_rest(recordings: Sequence[Recording], machine: Machine) -> NDArray
 
 
 def _is_driven(inputs: Array, channel: int, machine: Machine) -> bool:
-    """Return whether a drive pushes the sensor's coordinate in both directions, far beyond the declared friction.
+    """Return whether a drive pushes the sensor's coordinate both ways, far beyond the declared friction.
 
-    An end stop holds a machine in one direction only. Machines with belts are left out: a carriage at rest may stretch
-    them; and so are drives that follow a set point, whose command is no force.
+    An end stop holds a machine in one direction only. Machines with belts are left out: a carriage at rest
+    may stretch them; and so are drives that follow a set point, whose command is no force.
     """
     sensor = machine.sensors[channel]
     if machine.belts or machine.drive_laws or machine.spring_loaded or len(sensor.row) > 1:
@@ -164,8 +166,9 @@ def _consistent(outputs: Array, channel: int, machine: Machine) -> bool:
 def _span_at_rest(inputs: Array, channel: int, weights: Array, machine: Machine) -> float:
     """Return how much the prediction of a channel may move while its coordinate is held by friction.
 
-    Friction holds the coordinate while belts and drives pull on it, so the belts can stretch by up to the friction
-    force in either direction, plus the change of the drives' forces. Noise of the other channels adds to it.
+    Friction holds the coordinate while belts and drives pull on it, so the belts can stretch by up to the
+    friction force in either direction, plus the change of the drives' forces. Noise of the other channels
+    adds to it.
     """
     sensor = machine.sensors[channel]
     index = machine.coordinate_names.index(sensor.coordinate)

@@ -1,4 +1,4 @@
-"""Find encoders whose travel is a multiple of that of other sensors: wrong gear ratios, radii and scale factors."""
+"""Find encoders whose travel is a multiple of that of other sensors: wrong gear ratios, radii, scales."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _RATIO_CORRELATION = 0.9  # minimum correlation at which a ratio is reported
 def check_travel_ratios(motion: SpanMotion, data: Dataset, machine: Machine) -> list[Finding]:
     """Report encoders that move too far or too little for the travel that other sensors measure.
 
-    The reference are sensors with a fixed zero, elsewhere encoders compared with each other. Complete runs are
-    compared, because fast motion also stretches the belts. A small deviation is advice: a scale error of the other
-    sensors, which identification can find, has the same appearance.
+    The reference are sensors with a fixed zero, elsewhere encoders compared with each other. Complete runs
+    are compared, because fast motion also stretches the belts. A small deviation is advice: a scale error of
+    the other sensors, which identification can find, has the same appearance.
     """
     kinds = [machine.coordinate(s.coordinate).kind for s in machine.sensors]
     compared = [j for j, s in enumerate(machine.sensors) if s.incremental or kinds[j] == "rotary"]
@@ -53,7 +53,7 @@ def check_travel_ratios(motion: SpanMotion, data: Dataset, machine: Machine) -> 
 
 
 def _travel_ratio(data: Dataset, machine: Machine, column: int, ignored: list[int]) -> float | None:
-    """Return measured travel / travel that the other sensors predict; None if they do not, or do not correlate."""
+    """Return measured travel over the travel that other sensors predict; None if these do not correlate."""
     parts = []
     for run in data.runs:
         others = run.outputs.copy()

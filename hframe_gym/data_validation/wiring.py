@@ -1,8 +1,9 @@
 """Find mistakes in the wiring that contradict the machine: wrong signs and swapped channels.
 
-Rigid kinematics (belts that do not stretch) alone cannot distinguish swapped encoders from a laser that counts
-backwards; the forces that the motion requires can. Therefore each single mistake (one channel negated, two channels
-swapped) is corrected in turn, and the correction with which the inputs explain the motion best is reported.
+Rigid kinematics (belts that do not stretch) alone cannot distinguish swapped encoders from a laser that
+counts backwards; the forces that the motion requires can. Therefore each single mistake (one channel negated,
+two channels swapped) is corrected in turn, and the correction with which the inputs explain the motion best
+is reported.
 """
 
 from __future__ import annotations
@@ -30,28 +31,30 @@ _TIE = 0.02  # corrections that differ by less are equally likely
 def sensor_motions(machine: Machine) -> Array:
     """Return how much each sensor's measurement changes per unit of each rigid motion.
 
-    A rigid motion stretches no belt: a carriage moves, and the pulleys follow, or two inertias on an elastic shaft turn
-    together. Without belts, one coordinate moves.
+    A rigid motion stretches no belt: a carriage moves, and the pulleys follow, or two inertias on an elastic
+    shaft turn together. Without belts, one coordinate moves.
 
     Returns:
-        Change of each measurement, m or rad, per m or rad of the coordinate that leads the motion (for example x or y),
-        shape (sensors, motions), with columns in the order of `leading_motions(machine)`.
+        Change of each measurement, m or rad, per m or rad of the coordinate that leads the motion (for
+        example x or y), shape (sensors, motions), with columns in the order of `leading_motions(machine)`.
     """
     return machine.sensor_matrix @ leading_motions(machine).reshape(-1, len(machine.coordinates)).T
 
 
 def rigid_prediction(outputs: Array, channel: int, machine: Machine) -> tuple[Array, Array] | None:
-    """Predict one sensor's measurements from the other sensors by rigid kinematics (belts that do not stretch).
+    """Predict a sensor's measurements from the others by rigid kinematics (belts that do not stretch).
 
     Args:
-        outputs: Measurements, in the sensors' units, shape (n, sensors), NaN where not measured. A column without any
-            measurement is not used.
+        outputs: Measurements, in the sensors' units, shape (n, sensors), NaN where not measured. A column
+            without any measurement is not used.
         channel: Index of the sensor to predict.
 
     Returns:
-        prediction: Predicted measurements, m or rad, shape (n,), correct except for an unknown constant; NaN where a
+        prediction: Predicted measurements, m or rad, shape (n,), correct except for an unknown constant; NaN
+        where a
             sensor that is used has no measurement.
-        weights: Weight of each sensor in the prediction, in the unit of the predicted sensor per unit of the weighted
+        weights: Weight of each sensor in the prediction, in the unit of the predicted sensor per unit of the
+        weighted
             one, shape (sensors,); 0 for sensors that are not used.
 
         None instead of both if the other sensors do not determine this one.
@@ -76,16 +79,17 @@ def rigid_prediction(outputs: Array, channel: int, machine: Machine) -> tuple[Ar
 def rigid_misfit(motion: Array, machine: Machine) -> float:
     """Compute which fraction of a measured motion contradicts rigid kinematics (belts that do not stretch).
 
-    Channels are divided by their change per unit of rigid motion, so that angles and lengths are comparable. A rigid
-    motion is fitted to each row by least squares; the residual contradicts rigid kinematics.
+    Channels are divided by their change per unit of rigid motion, so that angles and lengths are comparable.
+    A rigid motion is fitted to each row by least squares; the residual contradicts rigid kinematics.
 
     Args:
-        motion: Displacements or changes of the measurements, in the sensors' units, shape (n, sensors), NaN where not
-            measured. A column without any measurement is not used; a row that lacks another one is left out.
+        motion: Displacements or changes of the measurements, in the sensors' units, shape (n, sensors), NaN
+            where not measured. A column without any measurement is not used; a row that lacks another one is
+            left out.
 
     Returns:
-        sqrt(sum of squared residuals / sum of squares of the scaled channels), dimensionless, 0 to 1. It is 0 if
-        nothing moves, or if the channels are not redundant and thus cannot contradict each other.
+        sqrt(sum of squared residuals / sum of squares of the scaled channels), dimensionless, 0 to 1. It is 0
+        if nothing moves, or if the channels are not redundant and thus cannot contradict each other.
     """
     M = sensor_motions(machine)  # (sensors, rigid motions)
     used = np.isfinite(motion).any(axis=0) & (np.linalg.norm(M, axis=1) > 0)
@@ -101,8 +105,8 @@ def rigid_misfit(motion: Array, machine: Machine) -> float:
 def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
     """Check for channels with a wrong sign and for swapped channels.
 
-    The force of the drives is compared with the one that the motion requires, over all runs together. If this gives no
-    fault, each single run is checked as well.
+    The force of the drives is compared with the one that the motion requires, over all runs together. If this
+    gives no fault, each single run is checked as well.
     """
     findings = _signs_and_swaps(data.runs, machine)
     if any(finding.severity == "fault" for finding in findings):
@@ -114,13 +118,13 @@ def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
 
 
 def declared_balance(data: Dataset, machine: Machine) -> Balance | None:
-    """Return the declared wiring's balance of forces in the window that explains most; None if there is no motion."""
+    """Return the declared wiring's balance of forces in the most explained window; None without motion."""
     declared, _ = _explanations(data.runs, machine)
     return declared.balance if declared else None
 
 
 def _single_corrections(machine: Machine) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Return the corrections of all single mistakes, by description: matrices on the outputs and on the inputs."""
+    """Return corrections of single mistakes, by description: matrices on the outputs and on the inputs."""
     groups = []
     for sensor in machine.sensors:
         # A sensor of several coordinates cannot be swapped with another one.
@@ -150,8 +154,8 @@ class _Explanation(NamedTuple):
     """How well a declared or corrected wiring explains the motion.
 
     Attributes:
-        unexplained: Fraction of the squared force of the drives that no machine explains, plus the fraction of the
-            squared motion that contradicts rigid kinematics.
+        unexplained: Fraction of the squared force of the drives that no machine explains, plus the fraction
+            of the squared motion that contradicts rigid kinematics.
     """
 
     unexplained: float
@@ -161,8 +165,8 @@ class _Explanation(NamedTuple):
 def _signs_and_swaps(runs: Sequence[PreparedRecording], machine: Machine) -> list[Finding]:
     """Report the single correction that makes the motion explainable, or that the inputs do not explain it.
 
-    It is a fault only if the motion is explained with the correction and clearly not without it, whatever spring,
-    weight, friction or offset the machine file lacks.
+    It is a fault only if the motion is explained with the correction and clearly not without it, whatever
+    spring, weight, friction or offset the machine file lacks.
     """
     declared, corrected = _explanations(runs, machine)
     if declared is None:
@@ -191,10 +195,10 @@ def _signs_and_swaps(runs: Sequence[PreparedRecording], machine: Machine) -> lis
 def _explanations(
     runs: Sequence[PreparedRecording], machine: Machine
 ) -> tuple[_Explanation | None, dict[str, _Explanation]]:
-    """Return how well the declared wiring explains the motion, and each wiring with one correction, by description.
+    """Return how well the declared wiring explains the motion, and each single correction, by description.
 
-    The shortest window is used in which one of them explains the motion, otherwise the one in which it explains most:
-    noise spoils accelerations over short windows, long ones smooth them away.
+    The shortest window is used in which one of them explains the motion, otherwise the one in which it
+    explains most: noise spoils accelerations over short windows, long ones smooth them away.
     """
     output_corrections, input_corrections = _single_corrections(machine)
     of_outputs, of_inputs = np.eye(len(machine.sensors)), np.eye(len(machine.drives))

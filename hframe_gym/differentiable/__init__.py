@@ -1,10 +1,11 @@
 """Differentiable stages: derivatives of simulated motions as functions of torch or JAX.
 
-    DifferentiableStage    torch: motions as differentiable functions of initial state, voltages and machine parameters
+    DifferentiableStage    torch: motions as functions of initial state, voltages and machine parameters
     JaxStage               the same functions for JAX
 
 Both compute the derivatives from the compiled equations of the simulator, not from differences;
-`DifferentiableMotion` of `hframe_gym.dynamics` is the same without either library. docs/differentiable.md has examples.
+`DifferentiableMotion` of `hframe_gym.dynamics` is the same without either library. docs/differentiable.md has
+examples.
 """
 
 from __future__ import annotations

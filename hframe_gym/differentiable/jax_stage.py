@@ -1,7 +1,8 @@
 """Motions of a machine as differentiable functions of JAX.
 
-The compiled functions are the same as for torch; JAX calls them outside its compiled program (`pure_callback`). They
-are therefore no faster under `jax.jit`, and `vmap` calls them once for each element: use the batch axis instead.
+The compiled functions are the same as for torch; JAX calls them outside its compiled program
+(`pure_callback`). They are therefore no faster under `jax.jit`, and `vmap` calls them once for each element:
+use the batch axis instead.
 """
 
 from __future__ import annotations
@@ -25,8 +26,9 @@ with naming_extra("jax", "differentiable stages for JAX need jax"):
 class JaxStage(Stage[Any]):
     """Stage whose motions JAX differentiates in reverse mode (`jax.grad`, `jax.vjp`), also inside `jax.jit`.
 
-    JAX must compute in float64: set `jax.config.update("jax_enable_x64", True)` first. Forward mode, second derivatives
-    and drives with a delay before the first period are not available. The arguments are those of `Stage`.
+    JAX must compute in float64: set `jax.config.update("jax_enable_x64", True)` first. Forward mode, second
+    derivatives and drives with a delay before the first period are not available. The arguments are those of
+    `Stage`.
 
     Raises:
         InputError: If JAX computes in float32.
@@ -44,7 +46,7 @@ class JaxStage(Stage[Any]):
 
     @override
     def rollout(self, start: Any, voltages: Any, parameters: Any = None) -> Any:
-        """Simulate as `Stage.rollout` does; JAX reports its `NotFiniteError` in the text of a `JaxRuntimeError`."""
+        """Simulate as `Stage.rollout` does; JAX wraps the `NotFiniteError` in a `JaxRuntimeError`."""
         values = jnp.asarray(self.nominal if parameters is None else parameters)
         if values.ndim == 1:
             values = jnp.broadcast_to(values, (len(start), len(values)))

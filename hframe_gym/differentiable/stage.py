@@ -1,4 +1,4 @@
-"""What differentiable stages of all libraries have in common: the machine, its parameters and states, and checks."""
+"""What differentiable stages of all libraries have in common: machine, parameters, states, and checks."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class Stage(ABC, Generic[Tensor]):
         machine: Machine to simulate.
         period: Time for which a voltage is held, s; also the time between two states.
         longest_step: Largest step of the integrator, s; the default is that of the environments.
-        end_stops: Whether the tool hits end stops at the edges of the workspace, as in the environments. Their
-            stiffness counts as constant in the derivatives.
-        friction: Derivative where static friction holds a coordinate or a coordinate stops: "exact" for that of the
-            motion, "smoothed" or "sliding" so that voltages count that do not overcome friction
+        end_stops: Whether the tool hits end stops at the edges of the workspace, as in the environments.
+            Their stiffness counts as constant in the derivatives.
+        friction: Derivative where static friction holds a coordinate or a coordinate stops: "exact" for that
+            of the motion, "smoothed" or "sliding" so that voltages count that do not overcome friction
             (docs/differentiable.md).
         parallel: Whether to distribute the machines of a batch over the processor's cores.
 
@@ -41,9 +41,9 @@ class Stage(ABC, Generic[Tensor]):
         rated: Rated voltages of the drives, V, shape (drives,): what the action 1 of an environment applies.
 
     Raises:
-        InputError: If a value of the machine is impossible, the period or step is not positive, `friction` is unknown,
-            a sensor measures an acceleration or a current, or end stops need a workspace that the machine does not
-            declare.
+        InputError: If a value of the machine is impossible, the period or step is not positive, `friction` is
+            unknown, a sensor measures an acceleration or a current, or end stops need a workspace that the
+            machine does not declare.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class Stage(ABC, Generic[Tensor]):
         self._tool = tool_terms(machine) if machine.tool_axes else None
 
     def check_library(self) -> None:
-        """Check that the library computes in float64, else raise an InputError; the constructor calls it first."""
+        """Check that the library computes in float64, else raise an InputError; constructors call it."""
 
     @staticmethod
     @abstractmethod
@@ -91,8 +91,8 @@ class Stage(ABC, Generic[Tensor]):
         Args:
             start: First states, SI, shape (B, S).
             voltages: Voltages, V, shape (B, T, drives).
-            parameters: Parameters in the order of `parameter_names`, SI, shape (P,) or (B, P). Default: those of the
-                machine.
+            parameters: Parameters in the order of `parameter_names`, SI, shape (P,) or (B, P). Default: those
+                of the machine.
 
         Returns:
             States at the beginning and at the end of every period, SI, shape (B, T + 1, S).
@@ -127,7 +127,7 @@ class Stage(ABC, Generic[Tensor]):
         return self.parameter_names.index(name)
 
     def with_end_stops(self, parameters: Array) -> Array:
-        """Return `parameters` of machines, SI, shape (B, P), with those of the end stops, shape (B, P or more)."""
+        """Return `parameters` of machines, SI, shape (B, P), with those of end stops, (B, P or more)."""
         return self._stops.parameters(parameters) if self._stops else parameters
 
     def checked(
@@ -161,7 +161,7 @@ class Stage(ABC, Generic[Tensor]):
                 )
 
     def check_finite(self, states: Array) -> None:
-        """Raise a NotFiniteError with time and coordinate if `states`, SI, shape (B, T + 1, S), are not finite."""
+        """Raise NotFiniteError (time, coordinate) unless `states`, SI, shape (B, T + 1, S), are finite."""
         diverged = ~(np.abs(states) < DIVERGED)
         if diverged.any():
             b, k, entry = map(int, np.argwhere(diverged)[0])

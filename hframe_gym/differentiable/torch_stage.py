@@ -18,10 +18,10 @@ Tensor = torch.Tensor
 
 
 class DifferentiableStage(Stage[torch.Tensor]):
-    """Stage whose motions torch differentiates with respect to initial state, voltages and machine parameters.
+    """Stage that torch differentiates with respect to initial state, voltages and machine parameters.
 
-    All tensors are on the processor and are computed in float64; gradients have the type of what they belong to. Second
-    derivatives are not available. The arguments are those of `Stage`.
+    All tensors are on the processor and are computed in float64; gradients have the type of what they belong
+    to. Second derivatives are not available. The arguments are those of `Stage`.
 
     Example:
         ::
@@ -40,7 +40,7 @@ class DifferentiableStage(Stage[torch.Tensor]):
         return torch.from_numpy(values)
 
     def parameters(self, changes: Mapping[str, Any], *, batch: int = 1) -> Tensor:
-        """Return the parameters of B machines, with some values replaced by tensors that may require gradients.
+        """Return the parameters of B machines, some of them replaced by tensors that may require gradients.
 
         Args:
             changes: Value of each changed parameter by name, SI: number, or tensor of shape () or (B,).
@@ -69,8 +69,8 @@ class DifferentiableStage(Stage[torch.Tensor]):
         """Simulate as `Stage.rollout` does, with two further arguments.
 
         Args:
-            earlier: Voltages of periods before the first one, V, shape (B, any number, drives), which matter for drives
-                with a delay. Default: the first voltages acted before.
+            earlier: Voltages of periods before the first one, V, shape (B, any number, drives), which matter
+                for drives with a delay. Default: the first voltages acted before.
             start_time: Time since the machines were switched on, s, for effects that depend on it.
 
         Raises:

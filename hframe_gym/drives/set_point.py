@@ -1,19 +1,19 @@
 """Drives that follow a set point with an inner loop: servos, motor controllers in position or speed mode.
 
-The loop is a cascade, as in industrial drives and ODrive: a proportional loop of the position commands a speed, and a
-proportional-integral loop of the speed commands the torque u of the motor shaft. With the set point r, the position q
-and the speed v of the coordinate and the gear ratio N,
+The loop is a cascade, as in industrial drives and ODrive: a proportional loop of the position commands a
+speed, and a proportional-integral loop of the speed commands the torque u of the motor shaft. With the set
+point r, the position q and the speed v of the coordinate and the gear ratio N,
 
     w = r for a drive of speeds, otherwise clip(position_gain (r - q), -speed_limit, speed_limit)
     u = clip(speed_gain N (w - v + integral_rate z), -torque_limit, torque_limit),    dz/dt = w - v
 
-The integral z is held while it would drive the torque further beyond its limit (conditional integration). Without the
-integral, the drive of positions is a proportional-derivative loop, as in hobby servos, with the stiffness
-position_gain speed_gain N^2.
+The integral z is held while it would drive the torque further beyond its limit (conditional integration).
+Without the integral, the drive of positions is a proportional-derivative loop, as in hobby servos, with the
+stiffness position_gain speed_gain N^2.
 
 References:
-    Ellis (2012), Control System Design Guide, chapters 6 and 17. Astrom and Hagglund (2006), Advanced PID Control,
-    section 3.5 (windup).
+    Ellis (2012), Control System Design Guide, chapters 6 and 17. Astrom and Hagglund (2006), Advanced PID
+    Control, section 3.5 (windup).
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ def _limited(value: Any, limit: Any) -> Any:
 
 
 def _limited_mean(first: Any, last: Any, limit: Any) -> Any:
-    """Return the mean of a value within [-limit, limit] while the value without the limit changes linearly in time.
+    """Return the mean of a value within [-limit, limit] while the unlimited value changes linearly.
 
-    A step in which the limit is reached or left has another mean than its middle has value: at 0.25 ms, that shook a
-    printer's tool by 0.07 m/s^2, half of an accelerometer's noise.
+    A step in which the limit is reached or left has another mean than its middle has value: at 0.25 ms, that
+    shook a printer's tool by 0.07 m/s^2, half of an accelerometer's noise.
     """
     mean = 0.5 * (first + last)
     for direction in (1.0, -1.0):
@@ -73,10 +73,10 @@ def _next_integral(
     integral_rate: Any,
     torque_limit: Any,
 ) -> Any:
-    """Return the integral of the error of the speed, m or rad, after the time dt; w: begin, middle and end of the step.
+    """Return the speed error's integral, m or rad, after the time dt; w: begin, middle and end of the step.
 
-    The wanted torque is taken as linear within the step. The integral grows in the part of the step in which the torque
-    is within its limit; otherwise the time at which it is held would be known to a step only.
+    The wanted torque is taken as linear within the step. The integral grows in the part of the step in which
+    the torque is within its limit; otherwise the time at which it is held would be known to a step only.
     """
     first, middle, last = w
     v = dq / maximum(dt, _SMALLEST_DIVISOR)
@@ -91,7 +91,7 @@ def _next_integral(
 
 
 def _initial_spread(level, N, speed_gain, integral_rate):  # type: ignore[no-untyped-def]
-    """Return the standard deviation of the integral at the start of a run: it may hold against dry friction."""
+    """Return the standard deviation of the integral at a run's start: it may hold against dry friction."""
     rate = speed_gain * N * N * integral_rate
     return where(integral_rate > 0.0, level / maximum(rate, _SMALLEST_DIVISOR), 0.0)
 
@@ -122,13 +122,13 @@ def _position_torque(  # type: ignore[no-untyped-def]
 def _next_position_integral(  # type: ignore[no-untyped-def]
     z, V, q, dq, dt, dv, N, position_gain, speed_limit, speed_gain, integral_rate, torque_limit
 ):
-    """Return the integral of the error of the speed, m or rad, after the time dt, s, and the travel dq, m or rad."""
+    """Return the speed error's integral, m or rad, after the time dt, s, and the travel dq, m or rad."""
     w = tuple(_limited(position_gain * (V - q - part * dq), speed_limit) for part in (-0.5, 0.0, 0.5))
     return _next_integral(w, z, dq, dt, dv, N, speed_gain, integral_rate, torque_limit)
 
 
 class _SetPointDrive(DriveKind):
-    """What drives with an inner loop have in common: the torque is that of the motor shaft, without a constant Kt."""
+    """What drives with an inner loop have in common: the torque is that of the motor shaft, without Kt."""
 
     fixed: ClassVar[Mapping[str, float]] = {"Kt": 1.0, "Ke": 0.0, "resistance": 1.0}
     largest = "torque_limit"
@@ -142,7 +142,7 @@ class _SetPointDrive(DriveKind):
 
 @DRIVE_KINDS.register("speed")
 class SpeedDrive(_SetPointDrive):
-    """A drive that follows a commanded speed of its coordinate, m/s or rad/s, by a proportional-integral loop."""
+    """A drive that follows a commanded speed of its coordinate, m/s or rad/s, by a PI loop."""
 
     command = "speed"
     defaults: ClassVar[Mapping[str, float]] = {"integral_rate": 0.0}

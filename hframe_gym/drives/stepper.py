@@ -1,10 +1,10 @@
-"""A stepper motor: its rotor follows the commanded steps by the torque of a magnet in a field, T = -T_h sin(p e).
+"""A stepper motor: its rotor follows commanded steps by a magnet's torque in a field, T = -T_h sin(p e).
 
-The field stands at the commanded angle; the rotor is held at the error e of its angle by a torque that is a sine with p
-periods per turn (50 for a motor with 1.8 degrees per full step). A load beyond the holding torque T_h pulls the rotor
-over the top of the sine into the next period: four full steps are lost, without any further rule. For small errors the
-motor is a spring, p T_h; the viscous friction of the coordinate, to which the damping of the motor belongs, decides how
-long it vibrates.
+The field stands at the commanded angle; the rotor is held at the error e of its angle by a torque that is a
+sine with p periods per turn (50 for a motor with 1.8 degrees per full step). A load beyond the holding torque
+T_h pulls the rotor over the top of the sine into the next period: four full steps are lost, without any
+further rule. For small errors the motor is a spring, p T_h; the viscous friction of the coordinate, to which
+the damping of the motor belongs, decides how long it vibrates.
 
 Reference:
     Acarnley (2002), Stepping Motors: a guide to theory and practice, chapters 3 and 4.
@@ -29,7 +29,7 @@ def _torque(V, q, N, holding_torque, periods):  # type: ignore[no-untyped-def]
 
 @DRIVE_KINDS.register("stepper")
 class StepperDrive(DriveKind):
-    """A stepper motor, whose command is the position of its coordinate to which the steps so far lead, m or rad."""
+    """A stepper motor, whose command is the position of its coordinate that its steps give, m or rad."""
 
     command = "position"
     fixed: ClassVar[Mapping[str, float]] = {"Kt": 1.0, "Ke": 0.0, "resistance": 1.0}

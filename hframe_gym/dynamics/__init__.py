@@ -1,4 +1,4 @@
-"""Equations of motion, their linearization, and simulation: the integrator and its compiled kernel (generated code)."""
+"""Equations of motion, their linearization, and simulation: the integrator and its compiled kernel."""
 
 from .codegen.blocks import in_blocks
 from .codegen.kernel import Kernel, kernel_for, kernel_source_text

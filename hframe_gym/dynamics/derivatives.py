@@ -1,8 +1,8 @@
 """Derivatives of simulated motions with respect to initial states, voltages and parameters, in reverse mode.
 
-The derivatives are those of the computed motion itself, step by step, not differences of two simulations: they are
-exact to rounding. At rest and at a stop, friction has a corner; `Friction` names the derivatives that can be taken
-there.
+The derivatives are those of the computed motion itself, step by step, not differences of two simulations:
+they are exact to rounding. At rest and at a stop, friction has a corner; `Friction` names the derivatives
+that can be taken there.
 """
 
 from __future__ import annotations
@@ -23,16 +23,17 @@ from .codegen.lane_program import LaneProgram
 from .codegen.machine_code import LANES
 from .simulation import LONGEST_STEP, in_parallel
 
-# Derivative where static friction holds a coordinate, or where it stops within a step; the motion is always the same.
-# "exact": that of the motion, zero for a voltage that does not move the coordinate. "sliding": as if friction kept its
-# direction and size, also through a stop. "smoothed": as "exact", but a force f on a coordinate that friction holds
-# with up to F has the fraction |f| / F of its influence when sliding, so that voltages count before they overcome it.
+# Derivative where static friction holds a coordinate, or where it stops within a step; the motion is always
+# the same. "exact": that of the motion, zero for a voltage that does not move the coordinate. "sliding": as
+# if friction kept its direction and size, also through a stop. "smoothed": as "exact", but a force f on a
+# coordinate that friction holds with up to F has the fraction |f| / F of its influence when sliding, so that
+# voltages count before they overcome it.
 Friction = Literal["exact", "smoothed", "sliding"]
 
 
 @dataclass(frozen=True)
 class _Program:
-    """The kernel of a machine's shape, and the addresses of its functions and of those of the derivatives by name."""
+    """The kernel of a machine's shape, and the addresses of its functions and its derivatives' by name."""
 
     source: KernelSource
     kernel: dict[str, int]
@@ -58,11 +59,13 @@ class Motions:
     """Motions of B machines over T equal periods; what is needed to differentiate them is kept.
 
     Attributes:
-        states: States at the beginning and at the end of every period, SI, shape (B, T + 1, S): positions, velocities,
-            then the states of the effects, as in `simulate`.
-        inputs: Voltages of the earlier periods, then of the simulated ones, V, shape (B, earlier + T, drives).
+        states: States at the beginning and at the end of every period, SI, shape (B, T + 1, S): positions,
+            velocities, then the states of the effects, as in `simulate`.
+        inputs: Voltages of the earlier periods, then of the simulated ones, V,
+            shape (B, earlier + T, drives).
         parameters: Parameters, SI, shape (B, P).
-        kernel_states: States as the kernel has them: belt travel, m, its rate, m/s, time, s, and effect states.
+        kernel_states: States as the kernel has them: belt travel, m, its rate, m/s, time, s, and effect
+            states.
     """
 
     states: Array
@@ -99,8 +102,8 @@ class DifferentiableMotion:
         step: Step of the integrator, s.
 
     Raises:
-        InputError: If the period or the step is not positive, the name of the treatment is unknown, or an effect
-            changes the clock.
+        InputError: If the period or the step is not positive, the name of the treatment is unknown, or an
+            effect changes the clock.
     """
 
     def __init__(
@@ -162,8 +165,8 @@ class DifferentiableMotion:
             start: First states, SI, shape (B, S).
             inputs: Voltages of the T periods, V, shape (B, T, drives).
             parameters: Parameters in the order of `Machine.parameters`, SI, shape (B, P).
-            earlier: Voltages of the periods before the first one, V, shape (B, any number, drives), for drives with a
-                delay. Before all given voltages, the first of them act.
+            earlier: Voltages of the periods before the first one, V, shape (B, any number, drives), for
+                drives with a delay. Before all given voltages, the first of them act.
             start_time: Time since the machines were switched on, s, for effects that depend on it.
 
         Returns:
@@ -284,7 +287,7 @@ class DifferentiableMotion:
     def readings_gradients(
         self, states: Array, parameters: Array, by_readings: Array, *, parallel: bool = True
     ) -> tuple[Array, Array]:
-        """Compute the derivatives of a number from its derivatives with respect to the readings of the sensors.
+        """Compute the derivatives of a number from those with respect to the readings of the sensors.
 
         Args:
             states: States, SI, shape (B, N, S).
@@ -317,7 +320,7 @@ class DifferentiableMotion:
         return by_states, of_parameters
 
     def travel_per_unit(self, parameters: Array) -> Array:
-        """Return the radius of each pulley, m/rad, or 1 for a linear coordinate, for `parameters`, SI, shape (B, P).
+        """Return each pulley's radius, m/rad, or 1 if linear, for `parameters`, SI, shape (B, P).
 
         The shape is (B, coordinates); it is the belt travel per position.
         """
@@ -331,7 +334,7 @@ class DifferentiableMotion:
         return np.tile(self.travel_per_unit(parameters), 2)
 
     def _add_by_units(self, change: Array, by_parameters: Array) -> None:
-        """Add derivatives by the belt travel per position, (B, 2 * coordinates), to those by the parameters."""
+        """Add derivatives by the belt travel per position, (B, 2 * coordinates), to those by parameters."""
         for i, (column, factor) in self._radii.items():
             by_parameters[:, column] += factor * (change[:, i] + change[:, self._count + i])
 

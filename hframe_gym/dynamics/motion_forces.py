@@ -34,8 +34,8 @@ def belt_states(
         velocities: Velocities, m/s or rad/s, of the same shape. Default: at rest.
 
     Returns:
-        One `BeltState` of arrays of shape (...) per belt; `stiffness` and `stiffness_force` are floats for a belt of
-        constant stiffness.
+        One `BeltState` of arrays of shape (...) per belt; `stiffness` and `stiffness_force` are floats for a
+        belt of constant stiffness.
     """
     equations = Equations(machine)
     return equations.belt_states(equations.point(positions, velocities))
@@ -68,7 +68,8 @@ def net_forces(
     Args:
         positions: Positions, m or rad, shape (N, coordinates).
         velocities: Velocities, m/s or rad/s, shape (N, coordinates).
-        values: Parameter values by full name ("x.mass"), SI, that replace the machine's. An array of shape (variants,
+        values: Parameter values by full name ("x.mass"), SI, that replace the machine's. An array of shape
+            (variants,
             1) gives one value for each of several variants of the machine; otherwise a float.
 
     Returns:
@@ -112,8 +113,9 @@ class KnownMotion:
         """Return the net forces (`net_forces`) along the motion of the machine with further effects.
 
         Args:
-            equations: Equations of the machine with these effects, which add no coordinates. Only their parameters may
-                have one value for each of several variants; all others are those of the machine without them.
+            equations: Equations of the machine with these effects, which add no coordinates. Only their
+                parameters may have one value for each of several variants; all others are those of the
+                machine without them.
 
         Returns:
             Net forces, N or Nm, shape (N, coordinates), or (variants, N, coordinates) for several variants.
@@ -121,7 +123,7 @@ class KnownMotion:
         return np.stack(np.broadcast_arrays(*self.by_coordinate(equations)), axis=-1)
 
     def by_coordinate(self, equations: Equations) -> list[Array]:
-        """Return the same forces coordinate by coordinate, shape (variants, N) only where the variants differ.
+        """Return the same forces coordinate by coordinate, shape (variants, N) only where they differ.
 
         Args:
             equations: As in `forces`.
@@ -152,19 +154,22 @@ def effect_forces(
 ) -> Array:
     """Return the forces that effects add along a motion.
 
-    The result is the difference of two net forces: of the machine with these effects, and of the machine without them.
-    Therefore it contains everything that an effect changes: a force, friction, a voltage, a current or a belt tension.
+    The result is the difference of two net forces: of the machine with these effects, and of the machine
+    without them. Therefore it contains everything that an effect changes: a force, friction, a voltage, a
+    current or a belt tension.
 
     Args:
-        machine: Machine. If `effects` is given, it must not have these effects; any other effect that it has acts in
-            both cases. If `effects` is not given, all effects of the machine are evaluated.
+        machine: Machine. If `effects` is given, it must not have these effects; any other effect that it has
+            acts in both cases. If `effects` is not given, all effects of the machine are evaluated.
         positions: Positions, m or rad, shape (N, coordinates).
         velocities: Velocities, m/s or rad/s, shape (N, coordinates).
-        effects: Effects to evaluate together. A parameter is a float, or an array of shape (variants, 1) with one value
-            for each of several variants. Default: the effects of the machine, which is compared with no effect.
+        effects: Effects to evaluate together. A parameter is a float, or an array of shape (variants, 1) with
+            one value for each of several variants. Default: the effects of the machine, which is compared
+            with no effect.
 
     Returns:
-        Added forces, N or Nm, shape (N, coordinates), or (variants, N, coordinates) if a parameter is an array.
+        Added forces, N or Nm, shape (N, coordinates), or (variants, N, coordinates) if a parameter is an
+        array.
     """
     motion = (time_s, positions, velocities, inputs)
     if effects is None:
@@ -186,7 +191,8 @@ def sensor_readings(
     Args:
         positions: Positions, m or rad, shape (..., coordinates).
         velocities: Velocities, m/s or rad/s, shape (..., coordinates). Default: at rest.
-        accelerations: Accelerations, m/s^2 or rad/s^2, shape (..., coordinates); needed if a sensor measures one.
+        accelerations: Accelerations, m/s^2 or rad/s^2, shape (..., coordinates); needed if a sensor measures
+            one.
         currents: Currents of the drives, A, shape (..., drives); needed if a sensor measures one.
 
     Returns:
@@ -208,7 +214,7 @@ def sensor_readings(
 
 
 def ohmic_currents(machine: Machine, velocities: Array, inputs: Array) -> Array:
-    """Return the currents of the drives by Ohm's law just before each sample, without effects on current and delays.
+    """Return the drives' currents by Ohm's law just before each sample, without effects and delays.
 
     Args:
         machine: Machine; its effects on the voltage are included.
@@ -258,8 +264,8 @@ def delayed_voltages(equations: Equations, time_s: Times, inputs: Inputs) -> lis
     of the first sample acts.
 
     Returns:
-        Mean voltages, V: for each drive an array of shape (N,), or (variants, N) if its delay is an array of shape
-        (variants, 1) with one value for each of several variants of the machine.
+        Mean voltages, V: for each drive an array of shape (N,), or (variants, N) if its delay is an array of
+        shape (variants, 1) with one value for each of several variants of the machine.
     """
     # Length of the interval after each sample, s; the last one is as long as the one before it.
     steps = np.diff(time_s, append=2.0 * time_s[-1] - time_s[-2] if len(time_s) > 1 else time_s[-1] + 1.0)
@@ -281,13 +287,13 @@ def delayed_voltages(equations: Equations, time_s: Times, inputs: Inputs) -> lis
 def effect_states(
     equations: Equations, time_s: Times, positions: Array, velocities: Array, voltages: Sequence[Array]
 ) -> dict[int, Array]:
-    """Integrate the states of effects (bristle deflection, motor current, ...) along a motion, from zero at its start.
+    """Integrate the states of effects (bristle deflection, motor current, ...) along a motion, from zero.
 
     Args:
         positions: Positions, m or rad, shape (N, coordinates).
         velocities: Velocities, m/s or rad/s, shape (N, coordinates).
-        voltages: Voltage of each drive after its delay, V, arrays of shape (N,), or (variants, N) for several variants
-            of the parameters.
+        voltages: Voltage of each drive after its delay, V, arrays of shape (N,), or (variants, N) for several
+            variants of the parameters.
 
     Returns:
         State of every effect that has one, SI, shape (N,) or (variants, N), by index in
@@ -314,7 +320,7 @@ def effect_states(
 def _integrated(
     definition: Effect, steps: Mapping[str, Array], rows: NDArray[np.intp], samples: int
 ) -> Array:
-    """Return the state of an effect at every sample, stepped from row to row of `rows` with `_step_arguments`."""
+    """Return an effect's state at every sample, stepped from row to row of `rows` with `_step_arguments`."""
     function: Any = definition.next_state
     states = follow_state(function, steps)  # (rows,) or (variants, rows)
     if definition.current:  # the mean over each step by Simpson's rule
@@ -336,7 +342,7 @@ def _step_arguments(
     time_s: Array,
     rows: NDArray[np.intp],
 ) -> dict[str, Array]:
-    """Return all arguments of effect k's `next_state` but its state, per step: arrays (rows,) or (variants, rows)."""
+    """Return the arguments of effect k's `next_state` but the state: arrays (rows,) or (variants, rows)."""
     effect, i = equations.instances[k].effect, equations.instances[k].state_coordinate
     durations = np.diff(time_s[rows])
     series: dict[str, Any] = {"dt": np.append(durations, durations[-1] if len(durations) else 0.0)}

@@ -1,7 +1,7 @@
 """Simulation of machines over voltage histories: one machine, or a batch of machines with the same structure.
 
-`simulate` checks its arguments and the motion of one machine, and adds names to it. `simulate_batch` simulates many
-machines at once, and `rollout` returns its positions as one array; neither checks anything.
+`simulate` checks its arguments and the motion of one machine, and adds names to it. `simulate_batch`
+simulates many machines at once, and `rollout` returns its positions as one array; neither checks anything.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ DIVERGED = 1e6  # m, rad, or per second; no machine of this kind gets anywhere n
 
 
 class NotFiniteError(ArithmeticError):
-    """A simulated motion diverged: the parameters or inputs are impossible, or the step is too long for them."""
+    """A motion diverged: parameters or inputs are impossible, or the step is too long for them."""
 
 
 def threads() -> int:
-    """Return the number of threads over which a batch is simulated: `$HFRAME_THREADS`, or the cores of this process.
+    """Return the number of threads of a batch's simulation: `$HFRAME_THREADS`, or the cores of this process.
 
     It is `$HFRAME_THREADS` if that is set, else the number of cores that this process may use.
     """
@@ -54,9 +54,9 @@ def in_parallel(run: Callable[[int, int], None], blocks: int) -> None:
     """Process blocks of `LANES` machines in several threads; return when all are done.
 
     Args:
-        run: Function (first, end) that processes the blocks first to end - 1. It is called in several threads at once
-            with different ranges; to gain speed, it must release Python's global interpreter lock. Its exceptions are
-            raised here.
+        run: Function (first, end) that processes the blocks first to end - 1. It is called in several threads
+            at once with different ranges; to gain speed, it must release Python's global interpreter lock.
+            Its exceptions are raised here.
     """
     count = min(threads(), blocks)
     if count <= 1:
@@ -72,7 +72,7 @@ def in_parallel(run: Callable[[int, int], None], blocks: int) -> None:
 
 @lru_cache(maxsize=4)
 def _pool(process: int, workers: int) -> ThreadPoolExecutor:
-    """Return threads that are kept between calls; a forked process does not inherit them and makes new ones."""
+    """Return threads that are kept between calls; a forked process makes new ones instead."""
     return ThreadPoolExecutor(workers, thread_name_prefix="hframe")
 
 
@@ -121,23 +121,24 @@ def simulate_batch(
 
     Args:
         machine: One of the machines; it gives the equations of motion and the default parameters.
-        inputs: Voltages, V, held from each sample until the next, shape (N, drives) for all machines or (B, N, drives).
-        parameters: Parameters in the order of `machine.parameters`, SI, shape (B, parameters), or (1, parameters) for
-            all machines. Default: those of `machine`.
-        start: Positions (m, rad), then velocities (m/s, rad/s), at the first sample, shape (2 * coordinates,) or
-            (B, 2 * coordinates); default: at rest at the origin. States of the effects (SI, in the order of the
-            machine's effects) may follow in further columns; without them they are zero.
+        inputs: Voltages, V, held from each sample until the next, shape (N, drives) for all machines or (B,
+            N, drives).
+        parameters: Parameters in the order of `machine.parameters`, SI, shape (B, parameters), or (1,
+            parameters) for all machines. Default: those of `machine`.
+        start: Positions (m, rad), then velocities (m/s, rad/s), at the first sample, shape (2 * coordinates,)
+            or (B, 2 * coordinates); default: at rest at the origin. States of the effects (SI, in the order
+            of the machine's effects) may follow in further columns; without them they are zero.
         extra_force: External force, N or Nm, held until the next row, shape (rows, coordinates) or
             (B, rows, coordinates).
-        measured: Measurements that correct the simulation (observer), in the sensors' units, shape (rows, sensors) or
-            (B, rows, sensors), NaN where not measured.
-        gains: Observer gains, SI, shape (2 * coordinates, sensors): in every row gains @ (measured - reading) is
-            added to the positions (first rows) and velocities (last rows). None: no correction.
+        measured: Measurements that correct the simulation (observer), in the sensors' units,
+            shape (rows, sensors) or (B, rows, sensors), NaN where not measured.
+        gains: Observer gains, SI, shape (2 * coordinates, sensors): in every row gains @ (measured - reading)
+            is added to the positions (first rows) and velocities (last rows). None: no correction.
         offsets: Added to the readings of each machine, in the sensors' units, shape (B, sensors). Default: 0.
         longest_step: Largest step of the integrator, s.
         every: Samples from one row to the next; the first sample is a row.
-        effects: Whether to return the states of effects, with positions and velocities. A motion goes on from its end
-            if they follow the positions and velocities of the next `start`.
+        effects: Whether to return the states of effects, with positions and velocities. A motion goes on from
+            its end if they follow the positions and velocities of the next `start`.
         parallel: Whether to distribute the machines over threads; False if the caller does so.
 
     Returns:
@@ -205,14 +206,15 @@ def _series(values: Array | None) -> Array:
 
 
 def _plain(values: Array) -> Array:
-    """Return values as contiguous float64 that may be written; read-only ones would be compiled for once more."""
+    """Return values as contiguous float64 that may be written; read-only ones are compiled for again."""
     return np.require(values, float, ["C", "W"])
 
 
 def _one_row_each(values: Array, batch: int) -> Array:
     """Return one row per machine, shape (batch, k), of values of shape (1 or batch, k).
 
-    The rows are copies: a broadcast row would be read-only, which is another type to Numba and a second compilation.
+    The rows are copies: a broadcast row would be read-only, which is another type to Numba and a second
+    compilation.
     """
     return np.array(np.broadcast_to(values, (batch, values.shape[1])), order="C")
 
@@ -248,19 +250,20 @@ def simulate(
     Args:
         time_s: Sample times, s, strictly increasing, shape (N,).
         inputs: Drive voltages, V, shape (N, drives).
-        initial: Positions (m, rad), then velocities (m/s, rad/s), at the first sample, shape (2 * coordinates,). The
-            internal states of all effects that have one (a hysteresis, for example) may follow, in the order of
-            `machine.effects`; without them they are zero. Default: at rest at the origin with unstretched belts.
-        offset: Constant that is added to the readings of each sensor, in the sensors' units, shape (sensors,) or one
-            number.
+        initial: Positions (m, rad), then velocities (m/s, rad/s), at the first sample,
+            shape (2 * coordinates,). The internal states of all effects that have one (a hysteresis, for
+            example) may follow, in the order of `machine.effects`; without them they are zero. Default: at
+            rest at the origin with unstretched belts.
+        offset: Constant that is added to the readings of each sensor, in the sensors' units, shape (sensors,)
+            or one number.
         longest_step: Largest step of the integrator, s.
 
     Returns:
         Motion at every sample: arrays of shape (N, coordinates) or (N, sensors).
 
     Raises:
-        ValueError: If the shapes do not fit the machine, times do not increase or span more than 1e9 steps, or
-            a value is not finite.
+        ValueError: If the shapes do not fit the machine, times do not increase or span more than 1e9 steps,
+            or a value is not finite.
         NotFiniteError: If the motion diverges; the message names time and coordinate.
 
     References:

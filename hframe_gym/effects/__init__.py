@@ -1,4 +1,4 @@
-"""The library of effects that a declared machine may lack: one file per effect, found because it is in this folder.
+"""The library of effects that a declared machine may lack: one file per effect, found by its place here.
 
 A program or a plugin (see `hframe_gym.registry`) can add effects with `register_effect`; they then work in
 machine.json, in environments and in identification like those of the library.
@@ -43,7 +43,7 @@ EFFECTS: Mapping[str, Effect] = MappingProxyType(_REGISTERED)
 
 
 def register_effect(effect: Effect) -> Effect:
-    """Add an effect to `EFFECTS` for all of the package, and return it; a ValueError if another one has its name."""
+    """Add an effect to `EFFECTS` for all of the package, and return it; ValueError if its name is taken."""
     if _REGISTERED.get(effect.name, effect) is not effect:
         raise ValueError(f"effect {effect.name!r} is registered already")
     _REGISTERED[effect.name] = effect
@@ -51,7 +51,7 @@ def register_effect(effect: Effect) -> Effect:
 
 
 def unregister_effect(name: str) -> None:
-    """Remove an effect from `EFFECTS` until the end of the process; a KeyError if there is none of this name."""
+    """Remove an effect from `EFFECTS` until the end of the process; a KeyError if there is none."""
     del _REGISTERED[name]
 
 
@@ -73,15 +73,16 @@ def effect_sites(effect: Effect, machine: Machine) -> tuple[str, ...]:
     """Return the sites, the components of a machine, at which an identification tries an effect.
 
     Returns:
-        Names of coordinates, drives, belts or sensor channels, depending on the kind of the effect. The word "drives",
-        "belts" or "machine" stands for all of them at once; it precedes the names. Empty if the effect cannot act on
-        the machine.
+        Names of coordinates, drives, belts or sensor channels, depending on the kind of the effect. The word
+        "drives", "belts" or "machine" stands for all of them at once; it precedes the names. Empty if the
+        effect cannot act on the machine.
     """
     if effect.fits and not effect.fits(machine):
         return ()
     drives = tuple(d.name for d in machine.drives)
     sites = {
-        # Coordinates whose mass is tied to another parameter have the same parameters; no effect acts on one alone.
+        # Coordinates whose mass is tied to another parameter have the same parameters; no effect acts on one
+        # alone.
         "coordinate": tuple(c for c in machine.coordinate_names if f"{c}.mass" not in machine.ties),
         "motor": drives,
         "drive": ("drives", *drives) if effect.shared and len(drives) > 1 else drives,

@@ -1,6 +1,7 @@
 """Viscous friction that depends on the direction of motion: b (1 + a) forward, b (1 - a) backward.
 
-Causes are seals, wipers and one-sided bearing preload. The declared coefficient b is the mean of both directions.
+Causes are seals, wipers and one-sided bearing preload. The declared coefficient b is the mean of both
+directions.
 """
 
 from ..machine import Effect, EffectParameter

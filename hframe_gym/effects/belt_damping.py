@@ -4,7 +4,7 @@ from ..machine import Effect, EffectParameter
 
 
 def tension(s, rate, k, c):  # type: ignore[no-untyped-def]
-    """Return the tension k (s + c ds/dt), N; s: extension, m, rate: ds/dt, m/s, k: stiffness, N/m, c: time, s."""
+    """Return tension k (s + c ds/dt), N; s: extension, m, rate: ds/dt, m/s, k: stiffness, N/m, c: time, s."""
     return k * (s + c * rate)
 
 

@@ -1,7 +1,7 @@
-"""Teeth of a belt that meet those of a pulley: a force A |T| sin(n q + p) that is proportional to the belts' load T.
+"""Belt teeth that meet those of a pulley: a force A |T| sin(n q + p) proportional to the belts' load T.
 
-A pitch t on a pulley of radius r has n = 2 pi r / t. The load is the force or torque of the belts on the pulley. The
-part that does not depend on the load is `cogging` with the same n.
+A pitch t on a pulley of radius r has n = 2 pi r / t. The load is the force or torque of the belts on the
+pulley. The part that does not depend on the load is `cogging` with the same n.
 """
 
 from ..dynamics.elementwise import absolute, sin
@@ -9,7 +9,7 @@ from ..machine import Effect, EffectParameter, Machine
 
 
 def force(q, load, A, n, p):  # type: ignore[no-untyped-def]
-    """Return the torque A |load| sin(n q + p), Nm; load: Nm, A: dimensionless, q: rad, n: rad per rad, p: rad."""
+    """Return the torque A |load| sin(n q + p), Nm; load: Nm, A: dimensionless, q: rad, n: 1, p: rad."""
     return A * absolute(load) * sin(n * q + p)
 
 

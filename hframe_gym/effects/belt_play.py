@@ -10,12 +10,12 @@ def beyond_play(s, d):  # type: ignore[no-untyped-def]
 
 
 def tension(s, k, d):  # type: ignore[no-untyped-def]
-    """Return the tension k (s - clip(s, -d, d)), N; s: extension, m, k: stiffness, N/m, d: half the play, m."""
+    """Return tension k (s - clip(s, -d, d)), N; s: extension, m, k: stiffness, N/m, d: half the play, m."""
     return k * beyond_play(s, d)
 
 
 def energy_slope(s, d):  # type: ignore[no-untyped-def]
-    """Return dE/dk of the belt energy E(s, k) at constant extension s, (s - clip(s, -d, d))^2 / 2, m^2; s, d: m."""
+    """Return dE/dk of the belt energy E(s, k) at constant s, (s - clip(s, -d, d))^2 / 2, m^2; s, d: m."""
     stretch = beyond_play(s, d)
     return 0.5 * stretch * stretch
 

@@ -1,8 +1,9 @@
-"""A force with memory beside Coulomb friction, which springs back elastically after a reversal (Bouc 1967; Wen 1976).
+"""A force with memory beside Coulomb friction, elastic after a reversal (Bouc 1967; Wen 1976).
 
-The force -F z of the state z (from -1 to 1, zero when the simulation starts) builds up over a distance of about L:
-dz/dt = (v - (|v| |z| z + v z^2) / 2) / L. It differs from `dahl_hysteresis` in the shape of its loops: after a reversal
-the force falls along a straight line to zero, then it approaches F as tanh of the distance.
+The force -F z of the state z (from -1 to 1, zero when the simulation starts) builds up over a distance of
+about L: dz/dt = (v - (|v| |z| z + v z^2) / 2) / L. It differs from `dahl_hysteresis` in the shape of its
+loops: after a reversal the force falls along a straight line to zero, then it approaches F as tanh of the
+distance.
 """
 
 from ..dynamics.elementwise import absolute, copysign, exp, maximum, minimum, where
@@ -11,7 +12,7 @@ from .dahl_hysteresis import PARAMETERS, force, initial_spread
 
 
 def next_state(z, dq, L):  # type: ignore[no-untyped-def]
-    """Return the state, -1 to 1, after a motion dq without reversal: the exact solution of dz/dt over the distance.
+    """Return the state, -1 to 1, after a motion dq without reversal: dz/dt solved exactly over the distance.
 
     L is the characteristic distance, m or rad, as dq.
     """

@@ -1,9 +1,9 @@
 """Yaw of the bridge: a coordinate `yaw` with inertia J, stiffness k, damping c and half-width w.
 
 The bridge moves along the first axis of the tool, here x, and the cart on it along the second one, here y.
-The extension of the left belt follows x + w yaw, that of the right belt x - w yaw, that of the bottom belt x. The tool
-is at x + y yaw. The effect explains an oscillation of 0.2 mm in x during y-moves, which Sollmann et al. (2010), section
-V, report without explanation.
+The extension of the left belt follows x + w yaw, that of the right belt x - w yaw, that of the bottom belt x.
+The tool is at x + y yaw. The effect explains an oscillation of 0.2 mm in x during y-moves, which Sollmann et
+al. (2010), section V, report without explanation.
 """
 
 import dataclasses
@@ -12,21 +12,22 @@ from ..machine import AppliedEffect, Coordinate, Effect, EffectParameter, Machin
 
 
 def force(q, k):  # type: ignore[no-untyped-def]
-    """Return the restoring torque of the guides on the yaw angle, -k q, Nm; q: angle, rad, k: stiffness, Nm/rad."""
+    """Return the guides' restoring torque on the yaw angle, -k q, Nm; q: angle, rad, k: stiffness, Nm/rad."""
     return -k * q
 
 
 def _sides(machine: Machine) -> dict[str, float]:
-    """Return, for each belt along both axes of the tool, the side of the bridge (+1 or -1) on which it acts."""
+    """Return, for each belt along both tool axes, the side of the bridge (+1 or -1) on which it acts."""
     bridge, cart = machine.tool_axes
     rows = {b.name: b.extension for b in machine.belts}
     return {name: row[cart] / row[bridge] for name, row in rows.items() if row.get(bridge) and row.get(cart)}
 
 
 def fits(machine: Machine) -> bool:
-    """Return whether a machine can have this effect: belts on both sides of the bridge and no coordinate `yaw` yet.
+    """Return whether a machine can have this effect: belts on both sides of the bridge, no coordinate `yaw`.
 
-    The bridge must move along the first axis, which then has the larger mass, because the bridge carries the cart.
+    The bridge must move along the first axis, which then has the larger mass, because the bridge carries the
+    cart.
     """
     if len(machine.tool_axes) != 2 or "yaw" in machine.coordinate_names:
         return False
@@ -35,9 +36,10 @@ def fits(machine: Machine) -> bool:
 
 
 def structure(machine: Machine, effect: AppliedEffect) -> Machine:
-    """Add the coordinate `yaw`, its part in the extension of the belts, and the product y yaw to sensors that read x.
+    """Add the coordinate `yaw`, its part in belt extensions, and the product y yaw to sensors that read x.
 
-    The mass, viscous friction and radius of the coordinate are tied to J, kg m^2, c, Nms, and w, m; k is in Nm/rad.
+    The mass, viscous friction and radius of the coordinate are tied to J, kg m^2, c, Nms, and w, m; k is in
+    Nm/rad.
     """
     values = effect.parameters
     yaw = Coordinate("yaw", values["J"], values["c"], kind="rotary", radius=values["w"])

@@ -4,7 +4,7 @@ from ..machine import Effect, EffectParameter
 
 
 def force(q, k, q0):  # type: ignore[no-untyped-def]
-    """Return the force -k (q - q0), N or Nm; q: position, q0: position without force, m or rad, k: N/m or Nm/rad."""
+    """Return the force -k (q - q0), N or Nm; q: position, q0: free position, m or rad, k: N/m or Nm/rad."""
     return -k * (q - q0)
 
 

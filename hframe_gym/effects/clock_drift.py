@@ -1,7 +1,7 @@
-"""Clock of a log whose rate changes within a run: actual steps are longer by the fraction a t than those of the log.
+"""Clock of a log whose rate changes within a run: actual steps are longer by a fraction a t than the log's.
 
-t is the time since the first row. A rate that is wrong all the time looks like other masses and frictions: in a time
-that runs c times as fast, a mass is c^2 times as large.
+t is the time since the first row. A rate that is wrong all the time looks like other masses and frictions: in
+a time that runs c times as fast, a mass is c^2 times as large.
 """
 
 from ..machine import Effect, EffectParameter
@@ -13,7 +13,7 @@ def next_state(z, dt):  # type: ignore[no-untyped-def]
 
 
 def clock(z, a):  # type: ignore[no-untyped-def]
-    """Return by which fraction a step is longer than by the log, a t; z: time t since the first row, s, a: 1/s."""
+    """Return by which fraction a step is longer than by the log, a t; z: time since the start, s, a: 1/s."""
     return a * z
 
 

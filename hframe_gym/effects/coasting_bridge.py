@@ -1,9 +1,9 @@
-"""Bridge that lets the motor coast between its pulses: i' = (V - min(|V| / U, 1) Ke N w) / R, with the full voltage U.
+"""Bridge that lets the motor coast between pulses: i' = (V - min(|V| / U, 1) Ke N w) / R, full voltage U.
 
-A bridge that shorts the motor between pulses applies the mean voltage, so that the back-EMF brakes all the time. One
-that opens (sign and magnitude, as many boards with an L298 are driven) has no current then: the back-EMF brakes during
-the fraction |V| / U of the pulses only, and the speed rises steeply with a small duty cycle. It holds for currents that
-end within the period of the pulses.
+A bridge that shorts the motor between pulses applies the mean voltage, so that the back-EMF brakes all the
+time. One that opens (sign and magnitude, as many boards with an L298 are driven) has no current then: the
+back-EMF brakes during the fraction |V| / U of the pulses only, and the speed rises steeply with a small duty
+cycle. It holds for currents that end within the period of the pulses.
 """
 
 from ..dynamics.elementwise import absolute, minimum
@@ -12,7 +12,7 @@ from .winding_heat import fits_site
 
 
 def current(i, V, R, U):  # type: ignore[no-untyped-def]
-    """Return the mean current, A; i: that with the back-EMF all the time, A, V: mean voltage, V, R: resistance, ohm."""
+    """Return the mean current, A; i: with back-EMF always, A, V: mean voltage, V, R: resistance, ohm."""
     return V / R - minimum(absolute(V) / U, 1.0) * (V / R - i)
 
 

@@ -5,7 +5,7 @@ from ..machine import Effect, EffectParameter
 
 
 def force(q, A, n, p):  # type: ignore[no-untyped-def]
-    """Return the torque A sin(n q + p), Nm (or N); q: position, rad or m, n: rad per unit of q, p: phase, rad."""
+    """Return the torque A sin(n q + p), Nm (or N); q: position, rad or m, n: rad per unit, p: phase, rad."""
     return A * sin(n * q + p)
 
 

@@ -1,4 +1,4 @@
-"""Torque constant that varies with the angle of the motor, torque = N Kt i (1 + a sin(n q + p)), by its commutation.
+"""Torque constant that varies with the motor's angle, torque = N Kt i (1 + a sin(n q + p)), by commutation.
 
 In contrast to `cogging`, the torque is in proportion to the current and vanishes without it.
 """

@@ -1,7 +1,7 @@
-"""A constant force or torque on a coordinate: a tilted bed, the pull of a cable, an amplifier offset behind the gear.
+"""A constant force or torque on a coordinate: a tilted bed, a cable's pull, an offset behind the gear.
 
-Coulomb friction forces F+ and F- that differ by direction are equivalent: (F+ - F-)/2 is a constant force, (F+ + F-)/2
-the Coulomb friction force. No motion can distinguish the two.
+Coulomb friction forces F+ and F- that differ by direction are equivalent: (F+ - F-)/2 is a constant force,
+(F+ + F-)/2 the Coulomb friction force. No motion can distinguish the two.
 """
 
 from ..machine import Effect, EffectParameter

@@ -1,8 +1,8 @@
 """A force with memory beside Coulomb friction, as of a cable or an energy chain that bends (Dahl 1968).
 
-The force -F z of the state z (from -1 to 1, zero when the simulation starts) builds up over a distance of about L
-after each reversal: dz/dt = (v - |v| z) / L. At constant direction z approaches the direction exponentially with the
-distance.
+The force -F z of the state z (from -1 to 1, zero when the simulation starts) builds up over a distance of
+about L after each reversal: dz/dt = (v - |v| z) / L. At constant direction z approaches the direction
+exponentially with the distance.
 """
 
 from ..dynamics.elementwise import absolute, copysign, exp
@@ -10,7 +10,7 @@ from ..machine import Effect, EffectParameter
 
 
 def next_state(z, dq, L):  # type: ignore[no-untyped-def]
-    """Return the state, -1 to 1, after a motion dq without reversal, s + (z - s) exp(-|dq|/L) with s = sign(dq).
+    """Return the state, in [-1, 1], after a motion dq to one side, s + (z - s) exp(-|dq|/L), s = sign(dq).
 
     L is the characteristic distance, m or rad, as dq.
     """
@@ -24,14 +24,15 @@ def force(z, F):  # type: ignore[no-untyped-def]
 
 
 def initial_spread():  # type: ignore[no-untyped-def]
-    """Return 0.58, the standard deviation of the state z after unrecorded motion: of a uniform z in [-1, 1]."""
+    """Return 0.58, standard deviation of the state z after unrecorded motion: of a uniform z in [-1, 1]."""
     return 0.58
 
 
 PARAMETERS = (
     EffectParameter("F", "force", 0.0, 1e3, scale=0.3, role="amplitude"),
     # A force that builds up within less than a millimeter is presliding of the dry friction itself.
-    # The loop closes over about three times L, which has to fit into the motion; otherwise the force is a spring's.
+    # The loop closes over about three times L, which has to fit into the motion; otherwise the force is a
+    # spring's.
     EffectParameter("L", "position", 1e-3, 1e3, scale=0.02, grid=(0.01, 0.03, 0.08), largest=0.25),
 )
 

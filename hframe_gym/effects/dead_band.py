@@ -1,8 +1,8 @@
 """An amplifier without output while the magnitude of the commanded voltage V is below a threshold Vd.
 
-Above it, the output is V reduced in magnitude by drop * Vd. With drop = 0, it is V itself, so that it jumps at the
-threshold (the enable threshold of a servo amplifier). With drop = 1, it rises continuously from 0 (base-emitter voltage
-of an output stage, contact voltage of brushes).
+Above it, the output is V reduced in magnitude by drop * Vd. With drop = 0, it is V itself, so that it jumps
+at the threshold (the enable threshold of a servo amplifier). With drop = 1, it rises continuously from 0
+(base-emitter voltage of an output stage, contact voltage of brushes).
 """
 
 from ..dynamics.elementwise import absolute, copysign, where

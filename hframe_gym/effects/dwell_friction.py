@@ -1,8 +1,9 @@
 """Dry friction that rises with the age of the contact, F = Fc + dF ln(1 + a/tau), as after a dwell.
 
-The age a grows with time, and motion renews the contact over a distance D: da/dt = 1 - |v| a/D. At constant speed it
-is D/|v|, so that friction falls with speed: F = Fc + dF ln(1 + D/(|v| tau)). How long the machine rested before a
-recording is unknown. The state is therefore z = ln(1 + a/tau), on which the friction depends linearly.
+The age a grows with time, and motion renews the contact over a distance D: da/dt = 1 - |v| a/D. At constant
+speed it is D/|v|, so that friction falls with speed: F = Fc + dF ln(1 + D/(|v| tau)). How long the machine
+rested before a recording is unknown. The state is therefore z = ln(1 + a/tau), on which the friction depends
+linearly.
 """
 
 from ..dynamics.elementwise import absolute, exp, log, maximum
@@ -13,7 +14,7 @@ _REST = 10.0  # s; typical rest before a recording
 
 
 def next_state(z, dq, dt, tau, D):  # type: ignore[no-untyped-def]
-    """Return the state z = ln(1 + a/tau) after a motion dq in the time dt, s: the solution for constant speed.
+    """Return the state z = ln(1 + a/tau) after a motion dq in the time dt, s: solved for constant speed.
 
     D is the distance over which motion renews the contact, m or rad, as dq; tau: s.
     """
@@ -29,7 +30,7 @@ def coulomb(z, dF):  # type: ignore[no-untyped-def]
 
 
 def initial_spread(tau):  # type: ignore[no-untyped-def]
-    """Return the standard deviation of the state at the start of a recording: that after a typical rest; tau: s."""
+    """Return the state's standard deviation at a recording's start: that after a typical rest; tau: s."""
     return log(1.0 + _REST / tau)
 
 

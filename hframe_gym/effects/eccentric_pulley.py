@@ -1,7 +1,8 @@
 """An eccentric pulley: belt travel r phi + e sin(phi + p), lever arm r + e cos(phi + p).
 
-At the start of a run, the eccentricity stretches no belt: the pulley has the angle at which its belt travel equals that
-of a round pulley. This angle is smaller than that of the round pulley by lag = e sin(phi + p) / r.
+At the start of a run, the eccentricity stretches no belt: the pulley has the angle at which its belt travel
+equals that of a round pulley. This angle is smaller than that of the round pulley by lag = e sin(phi + p) /
+r.
 """
 
 from ..dynamics.elementwise import cos, sin
@@ -14,10 +15,10 @@ def next_state(z, dq):  # type: ignore[no-untyped-def]
 
 
 def rest_angle_offset(q, e, p, per_radius):  # type: ignore[no-untyped-def]
-    """Return the angle e sin(phi + p) / r, rad, by which the pulley lags behind a round one at the start of a run.
+    """Return the angle e sin(phi + p) / r, rad, by which the pulley lags behind a round one at a run's start.
 
-    q is the angle phi of a round pulley with the same belt travel, rad; e the eccentricity, m; p its angle at phi = 0,
-    rad; per_radius is 1/r, 1/m.
+    q is the angle phi of a round pulley with the same belt travel, rad; e the eccentricity, m; p its angle at
+    phi = 0, rad; per_radius is 1/r, 1/m.
     """
     return e * sin(q + p) * per_radius
 
@@ -25,7 +26,8 @@ def rest_angle_offset(q, e, p, per_radius):  # type: ignore[no-untyped-def]
 def belt_travel(q, z, e, p, per_radius):  # type: ignore[no-untyped-def]
     """Return the belt travel that the eccentricity adds, m: e (sin(phi + p - lag) - sin(phi_0 + p - lag)).
 
-    phi_0 = q - z is the angle at the start of the run, and lag = e sin(phi_0 + p) / r; see `rest_angle_offset`.
+    phi_0 = q - z is the angle at the start of the run, and lag = e sin(phi_0 + p) / r; see
+    `rest_angle_offset`.
     """
     start = q - z
     lag = rest_angle_offset(start, e, p, per_radius)
@@ -33,7 +35,7 @@ def belt_travel(q, z, e, p, per_radius):  # type: ignore[no-untyped-def]
 
 
 def lever_arm(q, z, e, p, per_radius):  # type: ignore[no-untyped-def]
-    """Return the lever arm that the eccentricity adds, m/rad: e cos(phi + p - lag), with the lag of `belt_travel`."""
+    """Return the lever arm by eccentricity, m/rad: e cos(phi + p - lag); lag: as in `belt_travel`."""
     return e * cos(q + p - rest_angle_offset(q - z, e, p, per_radius))
 
 

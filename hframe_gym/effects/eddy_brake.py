@@ -1,13 +1,14 @@
-"""Eddy-current brake, -c v / (1 + (v/v0)^2): a drag that rises with the speed, is largest at v0, and falls beyond it.
+"""Eddy-current brake, -c v / (1 + (v/v0)^2): a drag that rises with the speed up to v0 and falls beyond.
 
-Magnets near a moving conductor, or a conductor near fixed magnets, brake in this way. So does the iron of a motor.
+Magnets near a moving conductor, or a conductor near fixed magnets, brake in this way. So does the iron of a
+motor.
 """
 
 from ..machine import Effect, EffectParameter
 
 
 def force(v, c, v0):  # type: ignore[no-untyped-def]
-    """Return the drag, N or Nm; v, v0: speed, speed of the largest drag c v0 / 2, m/s or rad/s, c: Ns/m or Nms."""
+    """Return the drag, N or Nm; v: speed, v0: that of the largest drag, m/s or rad/s, c: Ns/m or Nms."""
     ratio = v / v0
     return -c * v / (1.0 + ratio * ratio)
 

@@ -1,4 +1,4 @@
-"""Inductance of the winding: tau di/dt = (V - Ke N w)/R - i, tau = L/R, solved exactly over each part of a step."""
+"""Inductance of the winding: tau di/dt = (V - Ke N w)/R - i, tau = L/R, exact over each part of a step."""
 
 from ..dynamics.elementwise import exp, maximum
 from ..machine import Effect, EffectParameter

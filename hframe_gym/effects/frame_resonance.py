@@ -1,10 +1,11 @@
-"""A frame on soft feet: it swings under the reaction of a carriage and carries the sensor of that carriage along.
+"""A frame on soft feet: it swings under a carriage's reaction and carries that carriage's sensor along.
 
-The coordinate `frame` is the displacement f of the frame, in m (an angle at a radius of 1 m), that the sensor adds to
-the position of the carriage. The frame is much heavier than the carriage, so that it does not act back on it. r is the
-ratio of the carriage's mass to that of the frame; it is negative for a sensor on the frame and positive for one beside
-it. The frame carries the motors. Where it carries the rails too, friction acts inside it (s = 0); where the rails stand
-on the ground, the frame bears the force of the belts without the friction (s = 1).
+The coordinate `frame` is the displacement f of the frame, in m (an angle at a radius of 1 m), that the sensor
+adds to the position of the carriage. The frame is much heavier than the carriage, so that it does not act
+back on it. r is the ratio of the carriage's mass to that of the frame; it is negative for a sensor on the
+frame and positive for one beside it. The frame carries the motors. Where it carries the rails too, friction
+acts inside it (s = 0); where the rails stand on the ground, the frame bears the force of the belts without
+the friction (s = 1).
 """
 
 import dataclasses

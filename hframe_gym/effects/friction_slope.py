@@ -1,10 +1,10 @@
-"""Dry friction that grows along the way, F(q) = Fc + s q: rails that are not parallel, a belt against its flange."""
+"""Dry friction that grows along the way, F(q) = Fc + s q: rails not parallel, a belt against its flange."""
 
 from ..machine import Effect, EffectParameter
 
 
 def coulomb(q, s):  # type: ignore[no-untyped-def]
-    """Return the change s q of the Coulomb friction force, N or Nm; q: position, m or rad, s: N/m or Nm/rad."""
+    """Return the change s q of the Coulomb friction, N or Nm; q: position, m or rad, s: N/m or Nm/rad."""
     return s * q
 
 

@@ -1,8 +1,8 @@
 """Dry friction of all coordinates that changes as the machine warms up: Fc times 1 + a exp(-t/tau).
 
-It falls where the lubricant becomes thinner (a > 0), and rises where expanding parts press on bearings (a < 0). The
-factor applies to the dry friction force with all other effects on it. The time t counts from when the machine was
-switched on, so the recordings must share one clock.
+It falls where the lubricant becomes thinner (a > 0), and rises where expanding parts press on bearings (a <
+0). The factor applies to the dry friction force with all other effects on it. The time t counts from when the
+machine was switched on, so the recordings must share one clock.
 """
 
 from ..dynamics.elementwise import exp
@@ -10,7 +10,7 @@ from ..machine import Effect, EffectParameter
 
 
 def coulomb(level, t, a, tau):  # type: ignore[no-untyped-def]
-    """Return the change a exp(-t/tau) level of the dry friction force, N or Nm; level: force when warm, t, tau: s."""
+    """Return the change a exp(-t/tau) level of the dry friction, N or Nm; level: when warm, t, tau: s."""
     return level * (a * exp(-t / tau))
 
 

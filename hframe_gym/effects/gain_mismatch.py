@@ -1,8 +1,8 @@
 """An amplifier with another gain than declared: V' = (1 + g) V.
 
-A refit that frees the torque constant of every drive already contains this effect, unless it acts before a dead band
-that all drives share. With a single drive it cannot be identified at all, because voltages determine only ratios to the
-gain. It also serves declared machines and randomization.
+A refit that frees the torque constant of every drive already contains this effect, unless it acts before a
+dead band that all drives share. With a single drive it cannot be identified at all, because voltages
+determine only ratios to the gain. It also serves declared machines and randomization.
 """
 
 from ..machine import Effect, EffectParameter

@@ -1,11 +1,11 @@
 """Backlash of the gear between a motor, whose angle the encoder measures, and the pulley or load behind it.
 
-The coordinate of the drive becomes the motor's side of the gap; the belts act on a coordinate behind it, with the
-inertia J, the dry friction F and the viscous friction B, which the motor's side loses. A motor without belts turns its
-load over the gap: no sensor need measure this load, because the motor turns without its inertia until the teeth touch.
-Other effects at the coordinate, such as the weight of an arm, stay on the motor's side. The teeth have the stiffness K
-and push where the angles of both sides differ by more than d, half the gap. Their damping ratio Z, from 0 (elastic) to
-1 (without rebound), ends the rebounds.
+The coordinate of the drive becomes the motor's side of the gap; the belts act on a coordinate behind it, with
+the inertia J, the dry friction F and the viscous friction B, which the motor's side loses. A motor without
+belts turns its load over the gap: no sensor need measure this load, because the motor turns without its
+inertia until the teeth touch. Other effects at the coordinate, such as the weight of an arm, stay on the
+motor's side. The teeth have the stiffness K and push where the angles of both sides differ by more than d,
+half the gap. Their damping ratio Z, from 0 (elastic) to 1 (without rebound), ends the rebounds.
 """
 
 import dataclasses
@@ -19,10 +19,10 @@ _LEAST_SHARE = 0.2  # of inertia and friction that remains before the gap
 
 
 def tension(s, rate, k, d, J, Z, per_radius):  # type: ignore[no-untyped-def]
-    """Return the force of the teeth, N: k u + c u' where they touch, u = s - clip(s, -d r, d r); they never pull.
+    """Return the force of the teeth, N: k u + c u' on contact, u = s - clip(s, -d r, d r); no pull.
 
-    s: motor's side minus far side, m, rate: its rate, m/s, k: stiffness, N/m, d: half the gap, rad or m, J: inertia
-    behind it, kg m^2, Z: damping ratio of its vibration against the teeth, per_radius: 1/r, 1/m.
+    s: motor's side minus far side, m, rate: its rate, m/s, k: stiffness, N/m, d: half the gap, rad or m, J:
+    inertia behind it, kg m^2, Z: damping ratio of its vibration against the teeth, per_radius: 1/r, 1/m.
     """
     pressed = beyond_play(s, d / per_radius)
     force = k * pressed + 2.0 * Z * sqrt(k * J) * per_radius * rate
@@ -36,10 +36,11 @@ def _names(machine: Machine, site: str) -> tuple[str, str, str]:
 
 
 def fits_site(machine: Machine, site: str) -> bool:
-    """Return whether something can be behind a gap at a drive, no other drive moves it, and the names are not in use.
+    """Return whether something can be behind a gap at a drive, moved by it alone, and the names are free.
 
-    Belts can, and the load of a motor alone: while the teeth do not touch, the motor turns without its inertia, which
-    its own encoder and current show. A carriage that a motor moves directly would be two axes of the tool.
+    Belts can, and the load of a motor alone: while the teeth do not touch, the motor turns without its
+    inertia, which its own encoder and current show. A carriage that a motor moves directly would be two axes
+    of the tool.
     """
     near, far, teeth = _names(machine, site)
     drives = [d for d in machine.drives if d.coordinate == near]

@@ -1,8 +1,9 @@
-"""Idlers with inertia: the 20th-order model of Sollmann et al. (2010), eq. 25-34; every pulley is a coordinate.
+"""Idlers with inertia: the 20th-order model of Sollmann et al. (2010), eq. 25-34; each pulley a coordinate.
 
-Each belt becomes its three sections between pulleys. They have the same EA, and their lengths have the proportions of
-Table 4. The 8th-order model lumps the inertia J and the friction B of the idlers into motors and cart (eq. 4-8); here
-both are subtracted there: M_cart - 4 J/r^2, J_M - J. The idlers of one side are equal.
+Each belt becomes its three sections between pulleys. They have the same EA, and their lengths have the
+proportions of Table 4. The 8th-order model lumps the inertia J and the friction B of the idlers into motors
+and cart (eq. 4-8); here both are subtracted there: M_cart - 4 J/r^2, J_M - J. The idlers of one side are
+equal.
 """
 
 import dataclasses
@@ -11,9 +12,9 @@ import itertools
 from ..machine import AppliedEffect, Belt, Coordinate, Effect, EffectParameter, Machine, Row
 from ..machine.presets import SECTIONS
 
-# Names of the H-frame's components by which this module refers to them; `_roles` finds their names in a machine.
-# Sections by belt: (suffix of the name, number in the paper, extension, length). The first one keeps the parameters and
-# the name of the belt.
+# Names of the H-frame's components by which this module refers to them; `_roles` finds their names in a
+# machine. Sections by belt: (suffix of the name, number in the paper, extension, length). The first one keeps
+# the parameters and the name of the belt.
 _SECTIONS: dict[str, tuple[tuple[str, int, Row, Row], ...]] = {
     "left": (
         ("", 1, {"phi1": 1, "phi3": -1}, {}),
@@ -40,7 +41,7 @@ _SIDES = (("left", "phi1", (3, 5, 7)), ("right", "phi2", (4, 6, 8)))
 
 
 def _roles(machine: Machine) -> dict[str, str]:
-    """Return the name of each component in the machine by its name here, empty if the belts are not an H-frame's."""
+    """Return each component's name in the machine by its name here, empty unless an H-frame has the belts."""
     rows = [(dict(b.extension), b.name) for b in machine.belts]
     coordinates = ("x", "y", "phi1", "phi2")
     stretched_by = [name for name in machine.coordinate_names if any(name in row for row, _ in rows)]
@@ -59,7 +60,7 @@ def _roles(machine: Machine) -> dict[str, str]:
 
 
 def fits(machine: Machine) -> bool:
-    """Return whether a machine can have this effect: belts of the 8th-order model, no ties, no name in use."""
+    """Return whether a machine can have this: belts of the 8th-order model, no ties, no name in use."""
     roles = _roles(machine)
     if not roles or machine.ties:
         return False

@@ -1,4 +1,4 @@
-"""Delayed voltage, V'(t) = V(t - d): dead time of the control computer (all drives) or of an amplifier (one drive)."""
+"""Delayed voltage, V'(t) = V(t - d): dead time of the controller (all drives) or of an amplifier (one)."""
 
 from ..machine import Effect, EffectParameter
 

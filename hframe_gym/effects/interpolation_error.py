@@ -1,7 +1,7 @@
-"""Interpolation error of an encoder or scale: it measures r + A sin(n r + p), with n / (2 pi) periods per unit.
+"""Interpolation error of an encoder or scale: it measures r + A sin(n r + p), n / (2 pi) periods per unit.
 
-The error repeats with each line of a scale or disk, each pole of a magnet or each turn of the motor behind a gear. One
-period per turn of the measured coordinate is `eccentric_encoder`.
+The error repeats with each line of a scale or disk, each pole of a magnet or each turn of the motor behind a
+gear. One period per turn of the measured coordinate is `eccentric_encoder`.
 """
 
 from ..dynamics.elementwise import sin

@@ -5,7 +5,7 @@ from ..machine import Effect, EffectParameter
 
 
 def coulomb(drive, mu):  # type: ignore[no-untyped-def]
-    """Return the additional friction mu |drive|, N or Nm; drive: force or torque of the drive, mu: dimensionless."""
+    """Return the additional friction mu |drive|, N or Nm; drive: its force or torque, mu: dimensionless."""
     return mu * absolute(drive)
 
 

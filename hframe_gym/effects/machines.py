@@ -10,8 +10,8 @@ def pendulum() -> Machine:
     """Return the preset `motor` with 0.1 kg at the end of an arm of 0.1 m, which hangs down at the angle 0.
 
     Returns:
-        The preset `pendulum`: coordinate arm (rad), one drive of 12 V, sensor arm_rad, and the weight as the effect
-        `unbalance`, A = -m g r.
+        The preset `pendulum`: coordinate arm (rad), one drive of 12 V, sensor arm_rad, and the weight as the
+        effect `unbalance`, A = -m g r.
     """
     mass, gravity = 0.1, 9.81  # kg, m/s^2
     motor = BUILTIN_MACHINES["motor"]()

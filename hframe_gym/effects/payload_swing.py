@@ -1,8 +1,9 @@
-"""A load that hangs from an axis of the tool or is mounted flexibly: an oscillator on the carriage, without a sensor.
+"""A load that hangs from an axis of the tool or is mounted flexibly: an oscillator without a sensor.
 
-The coordinate `payload_SITE` is the deflection d of the load from its place on the carriage, in m along a linear axis
-(an angle at a radius of 1 m), in rad on a rotary one. For a pendulum of length l, w^2 = g / l. With the load, the
-carriage of the declared mass becomes one of this mass divided by 1 + r, which carries r times its own mass.
+The coordinate `payload_SITE` is the deflection d of the load from its place on the carriage, in m along a
+linear axis (an angle at a radius of 1 m), in rad on a rotary one. For a pendulum of length l, w^2 = g / l.
+With the load, the carriage of the declared mass becomes one of this mass divided by 1 + r, which carries r
+times its own mass.
 """
 
 import dataclasses
@@ -14,20 +15,20 @@ from ..machine import AppliedEffect, Coordinate, Effect, EffectParameter, Machin
 def reaction(q, v, m, f0, zeta, r):  # type: ignore[no-untyped-def]
     """Return the force of the load on the carriage, r m (w^2 d + 2 zeta w d'), N or Nm, with w = 2 pi f0.
 
-    q, v: deflection d of the load and its rate; m: mass of the carriage; f0: natural frequency with the carriage held,
-    Hz; zeta: damping ratio; r: mass of the load / mass of the carriage.
+    q, v: deflection d of the load and its rate; m: mass of the carriage; f0: natural frequency with the
+    carriage held, Hz; zeta: damping ratio; r: mass of the load / mass of the carriage.
     """
     w = 2.0 * math.pi * f0
     return r * m * w * (w * q + 2.0 * zeta * v)
 
 
 def force(q, v, m, net, f0, zeta):  # type: ignore[no-untyped-def]
-    """Return the force m d'' = -m (w^2 d + 2 zeta w d') - m x'', N or Nm, with net = m x'' on the carriage."""
+    """Return the force m d'' = -m (w^2 d + 2 zeta w d') - m x'', N or Nm, net = m x'' on the carriage."""
     return -reaction(q, v, m, f0, zeta, 1.0) - net
 
 
 def initial_spread(level, m, f0, r):  # type: ignore[no-untyped-def]
-    """Return the standard deviations of the deflection and of its rate, m and m/s or rad and rad/s, as a run begins.
+    """Return standard deviations of the deflection and its rate, m and m/s or rad and rad/s, as a run begins.
 
     The load may still swing, but so little that dry friction, level, N or Nm, holds the carriage of mass m.
     """
@@ -42,7 +43,7 @@ def fits_site(machine: Machine, site: str) -> bool:
 
 
 def structure(machine: Machine, effect: AppliedEffect) -> Machine:
-    """Add the coordinate of the deflection, without friction, and take the mass of the load from the carriage.
+    """Add the coordinate of the deflection, without friction, and take the load's mass from the carriage.
 
     The mass of the coordinate is tied to that of the carriage.
     """

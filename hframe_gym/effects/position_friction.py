@@ -10,7 +10,7 @@ from ..machine import Effect, EffectParameter
 
 
 def coulomb(q, A, L, p):  # type: ignore[no-untyped-def]
-    """Return the change A sin(2 pi q/L + p) of the Coulomb friction force, N or Nm; q, L: m or rad, p: phase, rad."""
+    """Return the change A sin(2 pi q/L + p) of the Coulomb friction, N or Nm; q, L: m or rad, p: rad."""
     return A * sin(2.0 * math.pi * q / L + p)
 
 

@@ -1,7 +1,8 @@
 """Friction with a bristle state: before it slides, a contact deflects like a spring (Dahl 1968; LuGre).
 
-dz/dt = v - s0 |v| z/F, friction s0 z + s1 dz/dt, where F is the Coulomb friction force including the Stribeck effect.
-For a constant speed the state has a closed solution over a distance dq: z approaches +-F/s0 exponentially.
+dz/dt = v - s0 |v| z/F, friction s0 z + s1 dz/dt, where F is the Coulomb friction force including the Stribeck
+effect. For a constant speed the state has a closed solution over a distance dq: z approaches +-F/s0
+exponentially.
 """
 
 from ..dynamics.elementwise import absolute, copysign, exp, maximum
@@ -11,7 +12,7 @@ _LOWEST_LEVEL = 1e-12  # N or Nm; avoids a division by zero without Coulomb fric
 
 
 def next_state(z, dq, level, s0):  # type: ignore[no-untyped-def]
-    """Return the deflection after a motion at constant speed, e + (z - e) exp(-|dq| s0/F) with e = sign(dq) F/s0.
+    """Return the deflection after constant speed, e + (z - e) exp(-|dq| s0/F) with e = sign(dq) F/s0.
 
     z: deflection of the bristle, m or rad, as the distance dq; level: friction force F with the Stribeck
     effect, N or Nm; s0: stiffness of the bristle, N/m or Nm/rad.
@@ -22,7 +23,7 @@ def next_state(z, dq, level, s0):  # type: ignore[no-untyped-def]
 
 
 def friction(z, v, level, s0, s1):  # type: ignore[no-untyped-def]
-    """Return the friction force, N or Nm: s0 z + s1 dz/dt with dz/dt = v - s0 |v| z/F; s1: damping, Ns/m or Nms."""
+    """Return the friction, N or Nm: s0 z + s1 dz/dt with dz/dt = v - s0 |v| z/F; s1: damping, Ns/m or Nms."""
     return s0 * z + s1 * (v - s0 * absolute(v) * z / maximum(level, _LOWEST_LEVEL))
 
 

@@ -1,4 +1,4 @@
-"""A second periodic torque of a motor that has cogging: an overtone of the detent torque, or commutation ripple."""
+"""A second periodic torque of a cogging motor: an overtone of the detent torque, or commutation ripple."""
 
 from ..machine import Effect
 from .cogging import EFFECT as COGGING

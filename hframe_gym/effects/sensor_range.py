@@ -29,7 +29,8 @@ def starting_values(measured: Array, noise: float) -> list[dict[str, float]]:
         noise: Standard deviation of their noise, m or rad.
 
     Returns:
-        The end at which it saturates, m or rad; or each of the two, then both. Nothing if it saturates at neither.
+        The end at which it saturates, m or rad; or each of the two, then both. Nothing if it saturates at
+        neither.
     """
     if len(measured) == 0:
         return []

@@ -1,21 +1,23 @@
 """Scale error of a sensor: it measures (1 + g) times the true value r, with a constant relative error g.
 
-The scale error of an encoder on a pulley or screw has the same effect on the measurements as a wrong travel per turn.
+The scale error of an encoder on a pulley or screw has the same effect on the measurements as a wrong travel
+per turn.
 """
 
 from ..machine import Effect, EffectParameter, Machine, rigid_motions
 
 
 def measurement(r, g):  # type: ignore[no-untyped-def]
-    """Return the measurement (1 + g) r, m or rad; r: true value, same unit; g: relative scale error, dimensionless."""
+    """Return the measurement (1 + g) r, m or rad; r: true value; g: relative scale error, dimensionless."""
     return r + g * r
 
 
 def fits(machine: Machine) -> bool:
-    """Return whether a scale error can be identified: more sensors measure motion than there are rigid-body motions.
+    """Return whether a scale error can be identified: more sensors of motion than rigid-body motions.
 
-    If a single sensor measures an axis, a scale error cannot be distinguished from masses and forces that are wrong by
-    the same factor. Nor does the current of the motor tell them apart, whose back-EMF constant may be wrong as well.
+    If a single sensor measures an axis, a scale error cannot be distinguished from masses and forces that are
+    wrong by the same factor. Nor does the current of the motor tell them apart, whose back-EMF constant may
+    be wrong as well.
     """
     of_motion = [sensor for sensor in machine.sensors if sensor.sensed.component == "coordinate"]
     return len(of_motion) > max(1, len(rigid_motions(machine)))
@@ -24,9 +26,9 @@ def fits(machine: Machine) -> bool:
 def equivalent_site(machine: Machine, site: str, other: str) -> bool:
     """Return whether scale errors of two sensors are the same in every recording.
 
-    So they are where both alone measure the position of a linear axis: masses and forces that are wrong by the same
-    factor make up for the difference. Belts to other coordinates, a third sensor, or a drive that follows set points
-    tell which scale is right.
+    So they are where both alone measure the position of a linear axis: masses and forces that are wrong by
+    the same factor make up for the difference. Belts to other coordinates, a third sensor, or a drive that
+    follows set points tell which scale is right.
     """
     measuring = {
         sensor.channel: sensor for sensor in machine.sensors if sensor.sensed.component == "coordinate"

@@ -1,4 +1,4 @@
-"""A sensor that is not perpendicular to the other axis: it measures r + a q with the position q of that axis."""
+"""A sensor not perpendicular to the other axis: it measures r + a q with the position q of that axis."""
 
 from ..machine import Effect, EffectParameter, Machine
 

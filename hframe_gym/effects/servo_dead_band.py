@@ -1,8 +1,9 @@
 """A position loop with a dead band: errors of the position within about +-d command less motion, or none.
 
-Hobby servos have one, of 1 to 10 us of the pulse width, so that they do not tremble at rest. In the middle of the band
-the loop is weaker by the fraction s: slack with s = 1, compliant with less. Beyond it, the loop sees the error reduced
-by s d. The transition is smooth, as noise and the resolution of the servo's own measurement make it.
+Hobby servos have one, of 1 to 10 us of the pulse width, so that they do not tremble at rest. In the middle of
+the band the loop is weaker by the fraction s: slack with s = 1, compliant with less. Beyond it, the loop sees
+the error reduced by s d. The transition is smooth, as noise and the resolution of the servo's own measurement
+make it.
 """
 
 from ..dynamics.elementwise import maximum, tanh
@@ -17,10 +18,10 @@ def fits_site(machine: Machine, site: str) -> bool:
 
 
 def set_point(V, q, s, d):  # type: ignore[no-untyped-def]
-    """Return the set point with which the loop has the error e - s d tanh(e/d), m or rad; e = V - q: actual error.
+    """Return the set point for the loop's error e - s d tanh(e/d), m or rad; e = V - q: actual error.
 
-    V is the commanded position, q the position of the coordinate, d half the width of the dead band, m or rad each, and
-    s the fraction by which the loop is weaker in its middle, from 0 to 1.
+    V is the commanded position, q the position of the coordinate, d half the width of the dead band, m or rad
+    each, and s the fraction by which the loop is weaker in its middle, from 0 to 1.
     """
     return V - s * d * tanh((V - q) / maximum(d, _NARROWEST))
 

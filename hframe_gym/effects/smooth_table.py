@@ -1,8 +1,8 @@
-"""Tabulated effects for residuals without a formula: a force or a Coulomb friction force as a function of one variable.
+"""Tables for residuals without a formula: a force or Coulomb friction as a function of one variable.
 
-The curve is linear between KNOTS values. Knots lie where the variable has been, and closer where the curve bends. The
-name of a table states force and variable: `smooth_force[position of y]` at x is an unnamed force on x that depends on
-y.
+The curve is linear between KNOTS values. Knots lie where the variable has been, and closer where the curve
+bends. The name of a table states force and variable: `smooth_force[position of y]` at x is an unnamed force
+on x that depends on y.
 """
 
 from __future__ import annotations
@@ -64,9 +64,9 @@ def definition(name: str) -> Effect:
     """Create the definition of a tabulated effect from its name.
 
     Args:
-        name: "smooth_force[VARIABLE]" (a force) or "smooth_friction[VARIABLE]" (a change of the Coulomb friction).
-            VARIABLE is "position of C", "velocity of C", "path of C" (distance traveled since the start of the run) or
-            "time", where C is the name of a coordinate.
+        name: "smooth_force[VARIABLE]" (a force) or "smooth_friction[VARIABLE]" (a change of the Coulomb
+            friction). VARIABLE is "position of C", "velocity of C", "path of C" (distance traveled since the
+            start of the run) or "time", where C is the name of a coordinate.
 
     Returns:
         Effect with the parameters k00..k23 (knots, unit of the variable) and f00..f23 (values, N or Nm).
@@ -100,5 +100,5 @@ def definition(name: str) -> Effect:
 
 
 def tabulated_range(effect: AppliedEffect) -> tuple[float, float]:
-    """Return the first and the last knot of a table, in the unit of its variable; the table is constant beyond them."""
+    """Return a table's first and last knot, in its variable's unit; the table is constant beyond them."""
     return effect.parameters[_KNOT_NAMES[0]], effect.parameters[_KNOT_NAMES[-1]]

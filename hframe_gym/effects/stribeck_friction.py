@@ -8,7 +8,7 @@ from ..machine import Effect, EffectParameter
 
 
 def coulomb(v, dF, vs):  # type: ignore[no-untyped-def]
-    """Return the change dF exp(-(v/vs)^2) of the Coulomb friction force, N or Nm; v, vs: speeds, m/s or rad/s."""
+    """Return the change dF exp(-(v/vs)^2) of Coulomb friction, N or Nm; v, vs: speeds, m/s or rad/s."""
     ratio = v / vs
     return dF * exp(-ratio * ratio)
 

@@ -1,8 +1,9 @@
-"""Voltage of the supply that falls with the power that the drives draw: V' = V (1 - s), with the relative sag s.
+"""Supply voltage that falls with the power that the drives draw: V' = V (1 - s), with the relative sag s.
 
-Bridges of voltages V draw the current V i / U from a supply of voltage U, so that an inner resistance R_s takes the
-fraction g V i with g = R_s / U^2. The capacitor behind it makes this the steady state of a lag tau. The effect at
-"drives" is that of one supply for all drives, at a drive that of its own. Braking drives raise the voltage.
+Bridges of voltages V draw the current V i / U from a supply of voltage U, so that an inner resistance R_s
+takes the fraction g V i with g = R_s / U^2. The capacitor behind it makes this the steady state of a lag tau.
+The effect at "drives" is that of one supply for all drives, at a drive that of its own. Braking drives raise
+the voltage.
 """
 
 from ..dynamics.elementwise import exp
@@ -11,15 +12,15 @@ from .winding_heat import fits_site
 
 
 def current(i, V, R, z):  # type: ignore[no-untyped-def]
-    """Return the current with the sag z, A; i: current without it, A, V: voltage without it, V, R: resistance, ohm."""
+    """Return the current with the sag z, A; i, V: current, A, and voltage, V, without it, R: ohm."""
     return i - z * V / R
 
 
 def next_state(z, dt, power, stall_power, g, tau):  # type: ignore[no-untyped-def]
-    """Return the relative sag after the time dt, s: the solution of tau ds/dt = g (power - stall_power s) - s.
+    """Return the relative sag after the time dt, s: solution of tau ds/dt = g (power - stall_power s) - s.
 
-    power: what the drives draw without sag, W; stall_power: what they draw at standstill, W, by which the power falls
-    with the sag; g: relative sag per power, 1/W, tau: time constant, s.
+    power: what the drives draw without sag, W; stall_power: what they draw at standstill, W, by which the
+    power falls with the sag; g: relative sag per power, 1/W, tau: time constant, s.
     """
     load = 1.0 + g * stall_power
     steady = g * power / load

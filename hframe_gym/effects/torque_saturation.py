@@ -1,4 +1,4 @@
-"""Torque constant that falls with the current because the iron of the motor saturates: torque N Kt i / (1 + s i^2).
+"""Torque constant falling with the current because the motor's iron saturates: torque N Kt i / (1 + s i^2).
 
 The current, also as a sensor measures it, stays as it is.
 """
@@ -7,7 +7,7 @@ from ..machine import Effect, EffectParameter
 
 
 def torque(i, s):  # type: ignore[no-untyped-def]
-    """Return the current i / (1 + s i^2), A, that makes this torque without saturation; i: current, A, s: 1/A^2."""
+    """Return the current i / (1 + s i^2), A, of this torque without saturation; i: current, A, s: 1/A^2."""
     return i / (1.0 + s * i * i)
 
 

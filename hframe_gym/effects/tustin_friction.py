@@ -1,6 +1,7 @@
 """Friction that falls exponentially with speed, as in lubricated guides: F(v) = Fc + dF exp(-|v|/vs).
 
-It is Stribeck friction with the exponent 1 (Tustin) in place of 2: it falls at once, and more slowly at the end.
+It is Stribeck friction with the exponent 1 (Tustin) in place of 2: it falls at once, and more slowly at the
+end.
 """
 
 from ..dynamics.elementwise import absolute, exp
@@ -9,7 +10,7 @@ from .stribeck_friction import EFFECT as STRIBECK
 
 
 def coulomb(v, dF, vs):  # type: ignore[no-untyped-def]
-    """Return the change dF exp(-|v|/vs) of the Coulomb friction force, N or Nm; v, vs: speeds, m/s or rad/s."""
+    """Return the change dF exp(-|v|/vs) of Coulomb friction, N or Nm; v, vs: speeds, m/s or rad/s."""
     return dF * exp(-absolute(v) / vs)
 
 

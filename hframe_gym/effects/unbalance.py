@@ -1,4 +1,4 @@
-"""The weight of a mass that is off the axis: a pendulum, an arm in the vertical plane, an unbalanced pulley."""
+"""The weight of a mass off the axis: a pendulum, an arm in the vertical plane, an unbalanced pulley."""
 
 from ..dynamics.elementwise import sin
 from ..machine import Effect, EffectParameter, Machine
@@ -10,7 +10,7 @@ def fits_site(machine: Machine, site: str) -> bool:
 
 
 def force(q, A, p):  # type: ignore[no-untyped-def]
-    """Return the torque A sin(q + p), Nm; q: angle, rad, A: weight times distance from the axis, Nm, p: phase, rad."""
+    """Return the torque A sin(q + p), Nm; q: angle, rad, A: weight times distance, Nm, p: phase, rad."""
     return A * sin(q + p)
 
 

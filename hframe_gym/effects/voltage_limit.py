@@ -1,4 +1,4 @@
-"""An amplifier that cannot reach the commanded voltage, for example because its supply is lower: |V'| <= U."""
+"""An amplifier that cannot reach the commanded voltage, as when its supply is lower: |V'| <= U."""
 
 from ..dynamics.elementwise import maximum, minimum
 from ..machine import Effect, EffectParameter

@@ -1,7 +1,8 @@
 """Resistance of a winding that rises with the heat of its current: R (1 + a h) with tau dh/dt = i^2 - h.
 
 The state h, A^2, is the mean square of the current over the thermal time constant tau; copper gains 0.39 % of
-resistance per kelvin. A simulation begins with a cold winding (h = 0), a recording with what earlier motion has left.
+resistance per kelvin. A simulation begins with a cold winding (h = 0), a recording with what earlier motion
+has left.
 """
 
 from ..dynamics.elementwise import exp
@@ -17,18 +18,18 @@ def fits_site(machine: Machine, site: str) -> bool:
 
 
 def current(i, z, a):  # type: ignore[no-untyped-def]
-    """Return the current of the warm winding, A; i: current when cold, A, z: heat, A^2, a: relative rise, 1/A^2."""
+    """Return the warm winding's current, A; i: that when cold, A, z: heat, A^2, a: relative rise, 1/A^2."""
     return i / (1.0 + a * z)
 
 
 def next_state(z, i, dt, a, tau):  # type: ignore[no-untyped-def]
-    """Return the heat, A^2, after the time dt, s, of the current i, A, that a cold winding would have; tau in s."""
+    """Return the heat, A^2, after the time dt, s, of the current i, A, of a cold winding; tau: s."""
     amps = current(i, z, a)
     return amps * amps + (z - amps * amps) * exp(-dt / tau)
 
 
 def initial_spread(i):  # type: ignore[no-untyped-def]
-    """Return the standard deviation of the heat at the start of a recording, A^2; i: current at rated voltage, A."""
+    """Return the heat's standard deviation at a recording's start, A^2; i: current at rated voltage, A."""
     return (_WARM * i) * (_WARM * i)
 
 

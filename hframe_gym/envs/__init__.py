@@ -1,7 +1,7 @@
-"""Gymnasium environments of belt-driven stages: single and vector, their tasks, rewards, sensors and randomization.
+"""Gymnasium environments of belt-driven stages: single and vector, tasks, rewards, sensors, randomization.
 
-The adapter for stable-baselines3 is `hframe_gym.envs.sb3_vec_env.HFrameVecEnv`; it is imported separately because it
-needs an extra.
+The adapter for stable-baselines3 is `hframe_gym.envs.sb3_vec_env.HFrameVecEnv`; it is imported separately
+because it needs an extra.
 """
 
 from .actuation.actuators import ACTUATOR_PRESETS, Actuators, ActuatorsLike, action_space

@@ -19,8 +19,8 @@ class BatchProperties:
     def entries(self) -> tuple[SignalSpec, ...]:
         """Name, unit and bounds of every entry of the observation array `observation`, in order.
 
-        Each also has `center` and `scale`: with `normalize=True` an observed entry is (value - center) / scale. With
-        `flat=True`, the tuple lists the entries of the single observation array.
+        Each also has `center` and `scale`: with `normalize=True` an observed entry is (value - center) /
+        scale. With `flat=True`, the tuple lists the entries of the single observation array.
         """
         return self.batch.format.entries or self.batch.observations.entries
 
@@ -28,19 +28,19 @@ class BatchProperties:
     def privileged_entries(self) -> tuple[SignalSpec, ...]:
         """Name, unit and bounds of every entry of `privileged`, the observation array for a critic, in order.
 
-        The entries are the true state and then the randomized parameters. Each also has `center` and `scale`: with
-        `normalize=True` an observed entry is (value - center) / scale. Empty unless `privileged=True`.
+        The entries are the true state and then the randomized parameters. Each also has `center` and `scale`:
+        with `normalize=True` an observed entry is (value - center) / scale. Empty unless `privileged=True`.
         """
         return self.batch.observations.privileged
 
     @property
     def compute_reward(self) -> Callable[[Any, Any, Any], Any]:
-        """Function (achieved_goal, desired_goal, info) -> reward, for example to relabel goals (hindsight replay).
+        """Function (achieved_goal, desired_goal, info) -> reward, such as for hindsight replay.
 
-        The function takes goals as observed (m; with `normalize` dimensionless), shape (axes,) or (n, axes). It returns
-        a float or an array of shape (n,), dimensionless. For the goals that `step` returned, it returns exactly the
-        rewards of `step`. Only the reward "progress" uses `info`: it reads the goals before the step
-        (`previous_achieved_goal`).
+        The function takes goals as observed (m; with `normalize` dimensionless), shape (axes,) or (n, axes).
+        It returns a float or an array of shape (n,), dimensionless. For the goals that `step` returned, it
+        returns exactly the rewards of `step`. Only the reward "progress" uses `info`: it reads the goals
+        before the step (`previous_achieved_goal`).
 
         Raises:
             AttributeError: With `flat=True`, because the observation then has no goals.

@@ -1,10 +1,11 @@
-"""Simulation of a batch of machines with the same equations and different parameters, one control period at a time.
+"""Simulation of machines with the same equations and different parameters, one control period at a time.
 
-State and parameters stay in the SIMD layout of the compiled simulation kernel (code generated for a machine), arrays
-(blocks, rows, LANES): machine b is lane b % LANES of block b // LANES. Unused lanes of the last block repeat the last
-machine, without voltage. Positions and velocities are belt travel, m and m/s: the coordinate if linear, radius * angle
-if rotary. Compiled functions work on blocks first to last - 1, run without the interpreter lock and use only arithmetic
-that rounds alike everywhere. A machine therefore gets the same bits in any batch, lane or thread.
+State and parameters stay in the SIMD layout of the compiled simulation kernel (code generated for a machine),
+arrays (blocks, rows, LANES): machine b is lane b % LANES of block b // LANES. Unused lanes of the last block
+repeat the last machine, without voltage. Positions and velocities are belt travel, m and m/s: the coordinate
+if linear, radius * angle if rotary. Compiled functions work on blocks first to last - 1, run without the
+interpreter lock and use only arithmetic that rounds alike everywhere. A machine therefore gets the same bits
+in any batch, lane or thread.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from .workspace import EndStops, tool_terms, write_tool_positions
 
 
 def _parameter_values(machine: Machine, name: str, values: Array) -> Array:
-    """Return one parameter (k,) by its full name from values (k, N), whose first columns are `machine.parameters`.
+    """Return a parameter (k,) by full name from values (k, N), whose first columns are `machine.parameters`.
 
     A tied parameter is a factor times the parameter to which it is tied.
     """
@@ -36,11 +37,11 @@ def _parameter_values(machine: Machine, name: str, values: Array) -> Array:
 
 
 def units_per_travel(machine: Machine, values: Array) -> Array:
-    """Compute the factors from belt travel, m, to coordinates: 1, or 1 / radius, rad/m, shape (k, coordinates).
+    """Compute factors from belt travel, m, to coordinates: 1, or 1 / radius, rad/m, shape (k, coordinates).
 
     Args:
-        values: Parameters of k machines, SI, shape (k, N). The first columns are `machine.parameters` in their order;
-            further columns are ignored.
+        values: Parameters of k machines, SI, shape (k, N). The first columns are `machine.parameters` in
+            their order; further columns are ignored.
     """
     units = np.ones((len(values), len(machine.coordinates)))
     for i, c in enumerate(machine.coordinates):
@@ -52,7 +53,8 @@ def units_per_travel(machine: Machine, values: Array) -> Array:
 def block_ranges(index: Index) -> Iterator[tuple[int, int]]:
     """Find the blocks of given machines, as ranges (first, index after the last) of consecutive blocks.
 
-    Example: with LANES = 8, machines 0, 9 and 30 are in blocks 0, 1 and 3, which gives the ranges (0, 2) and (3, 4).
+    Example: with LANES = 8, machines 0, 9 and 30 are in blocks 0, 1 and 3, which gives the ranges (0, 2) and
+    (3, 4).
     """
     if len(index) == (index[-1] - index[0] + 1):  # consecutive machines
         yield int(index[0]) // LANES, int(index[-1]) // LANES + 1
@@ -65,23 +67,26 @@ def block_ranges(index: Index) -> Iterator[tuple[int, int]]:
 class BatchedSimulator:
     """Simulate many machines with the same equations and different parameters, one control period at a time.
 
-    Machines are stored in blocks of LANES for the SIMD instructions of the processor: machine b is lane b % LANES of
-    block b // LANES.
+    Machines are stored in blocks of LANES for the SIMD instructions of the processor: machine b is lane b %
+    LANES of block b // LANES.
 
     Args:
         count: Number of machines.
-        space: Names of the parameters in the columns of `reset`'s argument `values`; those of the machine come first.
+        space: Names of the parameters in the columns of `reset`'s argument `values`; those of the machine
+            come first.
         period: Control period, s; voltages are constant for this time.
         longest_step: Largest integration step, s.
         end_stops: Whether rubber buffers limit x and y.
         sensors: Whether to compute the machine's sensor outputs.
 
     Attributes:
-        state: Belt travel of all coordinates (m), their rates (m/s), time (s) and internal states of effects such as
-            friction; shape (blocks, rows, LANES).
+        state: Belt travel of all coordinates (m), their rates (m/s), time (s) and internal states of effects
+            such as friction; shape (blocks, rows, LANES).
         parameters: Parameters of the machines, SI, shape (blocks, parameters, LANES).
-        units_per_travel: Factor from belt travel to the coordinate's unit, shape (blocks, coordinates, LANES).
-        readings: Sensor outputs with effects and delay, before noise and rounding, shape (blocks, sensors, LANES).
+        units_per_travel: Factor from belt travel to the coordinate's unit,
+            shape (blocks, coordinates, LANES).
+        readings: Sensor outputs with effects and delay, before noise and rounding,
+            shape (blocks, sensors, LANES).
 
     Raises:
         InputError: If the period or the step is not positive.
@@ -148,10 +153,11 @@ class BatchedSimulator:
 
         Args:
             position: Tool positions, m, shape (k, axes).
-            motion: Positions of the n coordinates, then their velocities, in their units, shape (k, 2 n), in place of
-                `position`. Default: at rest.
+            motion: Positions of the n coordinates, then their velocities, in their units, shape (k, 2 n), in
+                place of `position`. Default: at rest.
         """
-        # At rest, the travel of every coordinate is a linear function of the tool position; the rest of the state is 0.
+        # At rest, the travel of every coordinate is a linear function of the tool position; the rest of the
+        # state is 0.
         state = np.zeros((len(index), self.state.shape[1]))
         for axis, travel in enumerate(self._rest.T):
             state[:, : self._n] += position[:, axis, None] * travel
@@ -183,7 +189,7 @@ class BatchedSimulator:
             delay_line.fill(index, self._undelayed)
 
     def begin_period(self) -> None:
-        """Begin a control period of all machines: advance the history of voltages (dead times) and the step counter.
+        """Begin a control period of all machines: advance voltage history (dead times) and step counter.
 
         Call it once per period, before `advance`.
         """
@@ -222,7 +228,8 @@ class BatchedSimulator:
             delay_line.record(self._undelayed, begin + step + 1, first, last)
         delay_line.read(self._steps_done, first, last, self.readings)
 
-    # -- reading ---------------------------------------------------------------------------------------------------
+    # -- reading
+    # ---------------------------------------------------------------------------------------------------
 
     def tool_positions(self, first: int = 0, last: int | None = None) -> Array:
         """Compute the true tool positions in blocks `first` to `last` - 1 (None: all), m, shape (k, axes)."""

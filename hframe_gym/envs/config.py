@@ -20,13 +20,14 @@ from .tasks import TaskLike
 MachineLike: TypeAlias = Machine | str | Path
 Ends = Literal["stops", "terminate"]
 
-# Subtracted from the reward when an episode ends at the workspace's edge: as much as a hundred steps can lose, so that
-# leaving does not pay.
+# Subtracted from the reward when an episode ends at the workspace's edge: as much as a hundred steps can
+# lose, so that leaving does not pay.
 PENALTY = 100.0
-# s. After 0.4 s of random voltages up to 12 V the tool is off by 1.1 um (median; 3 um at most), with 0.25 ms by 0.2 um
-# (0.8 um) (benchmarks/accuracy.py). That is a twentieth of a laser's noise, for half the time.
+# s. After 0.4 s of random voltages up to 12 V the tool is off by 1.1 um (median; 3 um at most), with 0.25 ms
+# by 0.2 um (0.8 um) (benchmarks/accuracy.py). That is a twentieth of a laser's noise, for half the time.
 LONGEST_STEP = 0.5e-3
-# Limits of the control period, s, and of its integration steps; beyond them a step of the environment takes minutes.
+# Limits of the control period, s, and of its integration steps; beyond them a step of the environment takes
+# minutes.
 SHORTEST_PERIOD, LONGEST_PERIOD, MOST_STEPS = 1e-6, 10.0, 100_000
 
 
@@ -56,34 +57,35 @@ class EnvConfig:
     Args:
         machine: A `Machine`, the name of a machine preset ("hframe", ...) or the path of a machine.json.
         task: Registered name ("reach", "track"), `package.module:name`, or a `Task`.
-        reward: Registered name ("dense", "sparse", "arrival", "progress"), `package.module:name`, or a function of
-            achieved and desired tool positions, m, shape (n, axes) each, that returns n rewards. Default: "dense", with
-            `normalize` "progress".
-        randomize: "none", "default", "wide", "identified" (from the covariance of a machine.json that `hframe identify`
-            wrote), or a list of `RandomizeParameter` and `RandomizeIdentified`.
-        sensors: What is observed: "state" (the true positions and velocities of x, y and the driven coordinates), "rig"
-            (encoders and lasers of Sollmann et al. 2010, with noise and resolution), "machine"
-            (the sensors that the machine declares), or `Sensors(...)`.
-        drives: What applies the voltages: "ideal" (voltages are not quantized), "rig" (12-bit D/A converters, current
-            limit 12 A), "machine" (the converters that the machine declares), or `Actuators(...)`. Dead times and
-            current limits that the machine has as effects act in any case.
-        privileged: Whether the observation also has the array `privileged` (true state and randomized parameters) for
-            the critic of an actor-critic method.
+        reward: Registered name ("dense", "sparse", "arrival", "progress"), `package.module:name`, or a
+            function of achieved and desired tool positions, m, shape (n, axes) each, that returns n rewards.
+            Default: "dense", with `normalize` "progress".
+        randomize: "none", "default", "wide", "identified" (from the covariance of a machine.json that
+            `hframe identify` wrote), or a list of `RandomizeParameter` and `RandomizeIdentified`.
+        sensors: What is observed: "state" (the true positions and velocities of x, y and the driven
+            coordinates), "rig" (encoders and lasers of Sollmann et al. 2010, with noise and resolution),
+            "machine" (the sensors that the machine declares), or `Sensors(...)`.
+        drives: What applies the voltages: "ideal" (voltages are not quantized), "rig" (12-bit D/A converters,
+            current limit 12 A), "machine" (the converters that the machine declares), or `Actuators(...)`.
+            Dead times and current limits that the machine has as effects act in any case.
+        privileged: Whether the observation also has the array `privileged` (true state and randomized
+            parameters) for the critic of an actor-critic method.
         normalize: Whether observations and goals are (value - center) / scale, with center and scale of
             `env.unwrapped.entries`, so that every entry is about -1 to 1, as learning libraries with default
             hyperparameters need it.
         flat: Whether the observation is one array instead of a dict of arrays.
-        error: Whether the observation also has the array `error`: the distance to the goal along each axis on a
-            logarithmic scale, from -1 to 1, so that a network sees a tenth of a millimeter. Not for hindsight
-            experience replay, which changes goals but not this array.
-        ends: What happens at the workspace's edge: "stops" (rubber buffers stop the tool) or "terminate" (the episode
-            ends and `penalty` is subtracted from the reward as soon as the position in `achieved_goal`, which is
-            measured with `sensors`, is outside).
-        penalty: Subtracted from the reward outside the workspace if `ends` is "terminate". A small penalty can be less
-            than the negative rewards of a long episode; an agent then learns to end the episode early.
+        error: Whether the observation also has the array `error`: the distance to the goal along each axis on
+            a logarithmic scale, from -1 to 1, so that a network sees a tenth of a millimeter. Not for
+            hindsight experience replay, which changes goals but not this array.
+        ends: What happens at the workspace's edge: "stops" (rubber buffers stop the tool) or "terminate" (the
+            episode ends and `penalty` is subtracted from the reward as soon as the position in
+            `achieved_goal`, which is measured with `sensors`, is outside).
+        penalty: Subtracted from the reward outside the workspace if `ends` is "terminate". A small penalty
+            can be less than the negative rewards of a long episode; an agent then learns to end the episode
+            early.
         period: Control period, s, from 1 us to 10 s.
-        longest_step: Largest integration step, s, positive; a control period is divided into at most 100 000 equal
-            steps.
+        longest_step: Largest integration step, s, positive; a control period is divided into at most 100 000
+            equal steps.
 
     Raises:
         InputError: If `ends`, a switch or a number is invalid. The environment checks the other options.
@@ -135,7 +137,7 @@ class EnvConfig:
 def check_keywords(
     constructor: str, options: dict[str, Any], others: tuple[str, ...] = ("render_mode",)
 ) -> None:
-    """Raise a TypeError, with a similar name and all valid ones, for an option that an environment does not have."""
+    """Raise a TypeError, with similar and valid names, for an option that no environment has."""
     names = [field.name for field in dataclasses.fields(EnvConfig)]
     for keyword in options:
         if keyword not in names:
@@ -148,14 +150,14 @@ def check_keywords(
 
 
 def check_render_mode(mode: str | None, modes: Sequence[str]) -> str | None:
-    """Return a render mode (None: no rendering); an InputError refuses one that the environment does not support."""
+    """Return a render mode (None: no rendering); an InputError refuses unsupported ones."""
     if mode is not None and mode not in modes:
         raise InputError(f"render_mode is {mode!r}; choose one of {', '.join(modes)} or None")
     return mode
 
 
 def as_machine(machine: MachineLike) -> Machine:
-    """Return the machine of the environment option `machine`; an InputError refuses unknown names, invalid values."""
+    """Return the machine of the option `machine`; an InputError refuses unknown names, invalid values."""
     if isinstance(machine, Machine):
         require_machine(machine)
         return machine

@@ -17,7 +17,7 @@ from ..machine import Machine
 def longest_delay(
     machine: Machine, components: Iterable[str], hook: Literal["delay", "measurement_delay"]
 ) -> float:
-    """Return the longest delay, s, that a component can have within the bounds of its effects; 0 without such effects.
+    """Return the longest delay, s, that a component can have within its effects' bounds; 0 without such.
 
     Args:
         machine: Machine with its effects.
@@ -56,23 +56,23 @@ class DelayLine:
         self.delays = np.zeros((blocks, sensors, LANES))
 
     def fill(self, index: Index, readings: LaneReadings) -> None:
-        """Fill the histories of k environments with their present measurements, as if they had always been at rest."""
+        """Fill the histories of k environments with their present measurements, as if at rest until now."""
         block, lane = np.divmod(index, LANES)
         self._history[block, :, :, lane] = readings[block, :, lane][:, None]
 
     def record(self, readings: LaneReadings, step: int, first: int, last: int) -> None:
-        """Store the measurements of the environments in blocks `first` to `last` - 1 after an integration step.
+        """Store the measurements of environments in blocks `first` to `last` - 1 after an integration step.
 
-        They take the place of the oldest ones. The number of the step counts over all episodes and is the same for all
-        environments.
+        They take the place of the oldest ones. The number of the step counts over all episodes and is the
+        same for all environments.
         """
         self._history[first:last, step % self._depth] = readings[first:last]
 
     def read(self, step: int, first: int, last: int, out: LaneReadings) -> None:
         """Write the delayed measurements of the environments in blocks `first` to `last` - 1 to `out`.
 
-        A sensor with the delay T measures what was there T before the last recorded `step`, interpolated between the
-        recorded values; before the start of the episode, what was there at its start.
+        A sensor with the delay T measures what was there T before the last recorded `step`, interpolated
+        between the recorded values; before the start of the episode, what was there at its start.
         """
         _interpolate(self._history, self.delays, self._h, step, first, last, out)
 

@@ -1,8 +1,8 @@
-"""A batch of environments without Gymnasium's interface: the code behind `HFrameEnv` and the vector environments.
+"""A batch of environments without Gymnasium's interface: behind `HFrameEnv` and the vector environments.
 
-`reset` samples the machine parameters, the start position and the plan of an episode (numbers that define its goal at
-all times) and puts the machine at rest. Each `step` advances all machines by one control period. The caller decides
-when an episode ends.
+`reset` samples the machine parameters, the start position and the plan of an episode (numbers that define its
+goal at all times) and puts the machine at rest. Each `step` advances all machines by one control period. The
+caller decides when an episode ends.
 """
 
 from __future__ import annotations
@@ -44,10 +44,11 @@ class StepResult(NamedTuple):
     """Arrays into which a step of `count` environments writes everything but the observation.
 
     Attributes:
-        terminated: Whether `achieved_goal` is outside the workspace, bool, shape (count,); always False unless `ends`
-            is "terminate".
+        terminated: Whether `achieved_goal` is outside the workspace, bool, shape (count,); always False
+            unless `ends` is "terminate".
         distance: Distance of the true tool position to the goal, m, shape (count,).
-        contour: Distance of the true tool position to the path, m, shape (count,); None for a task without a path.
+        contour: Distance of the true tool position to the path, m, shape (count,); None for a task without a
+            path.
     """
 
     reward: Array
@@ -61,11 +62,13 @@ class EnvironmentBatch:
 
     Attributes:
         workspace: One row per axis of the tool (x and y), columns low and high, m or rad, shape (axes, 2).
-        distance_key: Key of an info with the distance to the goal: "distance_m", or "distance_rad" for rotary axes.
+        distance_key: Key of an info with the distance to the goal: "distance_m", or "distance_rad" for rotary
+            axes.
         contour_key: Key of an info with the distance to the path, "contour_m" or "contour_rad".
         observations: Computes observations from states or measurements.
         format: Converts observations, SI, to the form that `normalize`, `flat` and `error` select.
-        values: All N parameters of the running episodes, SI, order of `sampler.space.names`, shape (count, N).
+        values: All N parameters of the running episodes, SI, order of `sampler.space.names`,
+            shape (count, N).
         clipped: Number of action entries outside [-1, 1] in each running episode, shape (count,).
 
     Raises:
@@ -108,7 +111,8 @@ class EnvironmentBatch:
         self.format = ObservationFormat(
             signals, normalize=config.normalize, flat=config.flat, error=config.error
         )
-        # Values that every step needs, looked up once: look-ups are a large part of a step of a single environment.
+        # Values that every step needs, looked up once: look-ups are a large part of a step of a single
+        # environment.
         self._expected_shape = count, len(self.machine.drives)
         self._has_path = self.task.metrics == "track"
         self.references = ReferenceTrajectories(self.task, count, config.period, axes=len(self.workspace))
@@ -138,7 +142,8 @@ class EnvironmentBatch:
         content = [self.count, options, self.task.name, machine_to_dict(self.machine)]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
-    # -- reset -----------------------------------------------------------------------------------------------------
+    # -- reset
+    # -----------------------------------------------------------------------------------------------------
 
     def reset(
         self,
@@ -154,8 +159,8 @@ class EnvironmentBatch:
             start: Tool positions at the start, m, shape (k, axes). Default: the task chooses them.
             plan: Plans of the goals. Default: the task chooses them.
             parameters: Values by full name, SI, shape (k,) each, in place of those that are sampled.
-            motion: Positions of the n coordinates, then their velocities, in their units, shape (k, 2 n), in place of
-                `start` and rest.
+            motion: Positions of the n coordinates, then their velocities, in their units, shape (k, 2 n), in
+                place of `start` and rest.
 
         Raises:
             InputError: If a sampled parameter is outside its limits.
@@ -178,11 +183,12 @@ class EnvironmentBatch:
         self._was_reset = True
 
     def randomized(self, index: Index) -> dict[str, Array]:
-        """Return the values of the randomized parameters of k environments by full name, SI, shape (k,) each."""
+        """Return the randomized parameters of k environments by full name, SI, shape (k,) each."""
         columns = zip(self.sampler.names, self.sampler.columns, strict=True)
         return {name: self.values[index, column] for name, column in columns}
 
-    # -- step ------------------------------------------------------------------------------------------------------
+    # -- step
+    # ------------------------------------------------------------------------------------------------------
 
     def check_actions(self, actions: Any, *, single: bool = False) -> NDArray[Any]:
         """Check that `reset` was called, and check and convert actions, shape (count, drives).
@@ -262,9 +268,10 @@ class EnvironmentBatch:
         first: int,
         last: int,
     ) -> int:
-        """Advance blocks first..last-1 of LANES environments by one control period, and evaluate their new states.
+        """Advance blocks first..last-1 of environments by a control period, and evaluate the new states.
 
-        observation, tool (count, axes) in m and result are outputs. Return the index of a broken environment, or -1.
+        observation, tool (count, axes) in m and result are outputs. Return the index of a broken environment,
+        or -1.
         """
         self.simulator.advance(actions, self.clipped, first, last)
         rows = slice(first * LANES, min(last * LANES, self.count))
@@ -286,8 +293,9 @@ class EnvironmentBatch:
         """Begin new episodes in k environments whose episodes ended, and write their first observations.
 
         Args:
-            result: Result of the last `step`. In rows `index`, the distances to goal and path are overwritten with
-                those at the start of the new episodes. Rewards and terminations remain those of the step.
+            result: Result of the last `step`. In rows `index`, the distances to goal and path are overwritten
+                with those at the start of the new episodes. Rewards and terminations remain those of the
+                step.
 
         Raises:
             InputError: If an unbounded distribution yields a value outside the limits of a parameter.
@@ -299,7 +307,7 @@ class EnvironmentBatch:
             result.contour[index] = self.contour(index)
 
     def observe(self) -> Observation:
-        """Compute the present observations of all environments: new arrays, SI, shape (count, entries of the key).
+        """Compute all present observations: new arrays, SI, shape (count, entries of the key).
 
         They contain the true states or, with the option `sensors`, the measurements of the last step or
         reset. The options `normalize` and `flat` are not applied.
@@ -309,7 +317,7 @@ class EnvironmentBatch:
         return observation
 
     def _write_rows(self, index: Index, observation: Observation) -> NDArray[np.float32]:
-        """Write the present observations of environments index (k,); return true tool positions, m, (count, axes)."""
+        """Write present observations of environments (k,); return true tool positions, m, (count, axes)."""
         tool = self.observations.tool_array(observation)
         self.references.write(index, observation)
         for first, last in block_ranges(index):
@@ -317,7 +325,7 @@ class EnvironmentBatch:
         return tool
 
     def _blank(self) -> Observation:
-        """Allocate an observation of all environments, with its keys in the order of the observation space."""
+        """Allocate observations of all environments, with keys in the order of the observation space."""
         observation = self._no_arrays.copy()
         self.observations.add_blank(observation)
         self.references.add_blank(observation)
@@ -330,7 +338,7 @@ class EnvironmentBatch:
         )
 
     def distance(self, index: Index) -> Array:
-        """Compute the distances of the true tool positions of k environments to their goals, m, shape (k,)."""
+        """Compute distances of the true tool positions of k environments to their goals, m, shape (k,)."""
         tool = np.empty((self.count, len(self.workspace)), np.float32)
         for first, last in block_ranges(index):
             self.observations.write_tool(first, last, tool)
@@ -338,7 +346,7 @@ class EnvironmentBatch:
 
 
 def batch_of(environment: Any) -> EnvironmentBatch:
-    """Return the batch behind an environment, single, vector, or for stable-baselines3, or behind its wrapper.
+    """Return the batch of an environment, single, vector, or for stable-baselines3, or behind its wrapper.
 
     Raises:
         InputError: If the environment is not one of this package.

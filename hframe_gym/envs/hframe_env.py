@@ -26,12 +26,13 @@ _ONLY = np.zeros(1, np.intp)
 class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
     """An H-frame belt stage that moves a tool in the plane.
 
-    Two fixed motors move a carriage in x and y by one belt. The belt stretches, every moving part has friction, and the
-    motors are controlled by their voltages.
+    Two fixed motors move a carriage in x and y by one belt. The belt stretches, every moving part has
+    friction, and the motors are controlled by their voltages.
 
     ## Action Space
 
-    `Box(-1, 1, (2,), float32)`, constant for one control period (10 ms). Entries outside this range are clipped.
+    `Box(-1, 1, (2,), float32)`, constant for one control period (10 ms). Entries outside this range are
+    clipped.
 
     | index | action | unit | range |
     |---|---|---|---|
@@ -42,8 +43,8 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
 
     ## Observation Space
 
-    A `Dict` of bounded float32 arrays. `env.unwrapped.entries` describes `observation` with its bounds for any machine;
-    the table is that of `hframe`.
+    A `Dict` of bounded float32 arrays. `env.unwrapped.entries` describes `observation` with its bounds for
+    any machine; the table is that of `hframe`.
 
     | key | index | name | unit | range |
     |---|---|---|---|---|
@@ -54,45 +55,50 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
     | | 6, 7 | velocities of phi1 and phi2 | rad/s | -265.3 to 265.3 |
     | `achieved_goal` | 0, 1 | x, y of the tool | m | -0.33 to 0.33, -0.24 to 0.24 |
     | `desired_goal` | 0, 1 | x, y of the goal | m | -0.33 to 0.33, -0.24 to 0.24 |
-    | `preview` | 2 i, 2 i + 1 | x, y of future goal i (tasks with a path) | m | -0.33 to 0.33, -0.24 to 0.24 |
+    | `preview` | 2 i, 2 i + 1 | x, y of future goal i (with a path) | m | -0.33 to 0.33, -0.24 to 0.24 |
     | `privileged` | | state of all coordinates, randomized parameters (only with `privileged=True`) | | |
-    | `error` | 0, 1 | logarithm of the distance to the goal along x and y (only with `error=True`) | 1 | -1 to 1 |
+    | `error` | 0, 1 | log of the distance to the goal along x and y (only with `error=True`) | 1 | -1 to 1 |
 
-    With `sensors="rig"` or `"machine"`, positions are measurements and velocities their differences over the control
-    period, unfiltered. `achieved_goal` is then the measured tool position: that of a sensor of x or y inside its range,
-    else the position that the encoders' angles give on unstretched belts.
+    With `sensors="rig"` or `"machine"`, positions are measurements and velocities their differences over the
+    control period, unfiltered. `achieved_goal` is then the measured tool position: that of a sensor of x or y
+    inside its range, else the position that the encoders' angles give on unstretched belts.
 
     ## Rewards
 
     With d the distance from `achieved_goal` to `desired_goal`:
 
-    - `"dense"`: minus the mean of d / (d + scale) over scales from 0.2 m to 20 um; 0 at the goal, near -1 far from it.
-    - `"arrival"`: likewise with the weights 0.05, 0.05, 0.3, 0.5 and 0.1, so that the last millimeters count most.
-    - `"progress"`: ln((1 mm + d before the step) / (1 mm + d)) + 1 / (1 + d / 2 mm); what `normalize=True` chooses.
+    - `"dense"`: minus the mean of d / (d + scale) over scales from 0.2 m to 20 um; 0 at the goal, near -1 far
+      from it.
+    - `"arrival"`: likewise with the weights 0.05, 0.05, 0.3, 0.5 and 0.1, so that the last millimeters count
+      most.
+    - `"progress"`: ln((1 mm + d before the step) / (1 mm + d)) + 1 / (1 + d / 2 mm); what `normalize=True`
+      chooses.
     - `"sparse"`: 0 within the task's band (1 mm), else -1.
     - a function of (achieved, desired), or a registered name.
 
-    With `ends="terminate"`, `penalty` is subtracted if `achieved_goal` is outside the workspace. `compute_reward`
-    returns exactly the rewards of `step`.
+    With `ends="terminate"`, `penalty` is subtracted if `achieved_goal` is outside the workspace.
+    `compute_reward` returns exactly the rewards of `step`.
 
     ## Starting State
 
     At rest with unstretched belts. Task `reach` starts at a uniform random position at least 20 mm inside the
-    workspace, with a target of the same distribution; task `track` starts at the beginning of its path. `randomize`
-    changes the machine's parameters. `reset(options={"start": (x, y), "target": (x, y)})` sets both positions.
+    workspace, with a target of the same distribution; task `track` starts at the beginning of its path.
+    `randomize` changes the machine's parameters. `reset(options={"start": (x, y), "target": (x, y)})` sets
+    both positions.
 
     ## Episode End
 
-    - Termination: only with `ends="terminate"`, when `achieved_goal` (with sensors: the measured position) is outside
-      the workspace. By default rubber buffers stop the tool.
+    - Termination: only with `ends="terminate"`, when `achieved_goal` (with sensors: the measured position) is
+      outside the workspace. By default rubber buffers stop the tool.
     - Truncation: by `gym.make` after 150 steps, whatever `period` is (1.5 s with the default); its keyword
       `max_episode_steps` changes the limit.
 
     `info` describes the true tool position, even where measurements are observed: `distance_m` to the goal,
-    `is_success` (within the task's band now) and `contour_m` (distance to the path, for tasks with one). It also has
-    `clipped_actions` (number of entries outside [-1, 1] in this episode) and, with randomization, `parameters`: the
-    values of the randomized parameters by full name. With the reward "progress" it has `previous_achieved_goal` and, if
-    goals move, `previous_desired_goal`: the goals before the step, as observed.
+    `is_success` (within the task's band now) and `contour_m` (distance to the path, for tasks with one). It
+    also has `clipped_actions` (number of entries outside [-1, 1] in this episode) and, with randomization,
+    `parameters`: the values of the randomized parameters by full name. With the reward "progress" it has
+    `previous_achieved_goal` and, if goals move, `previous_desired_goal`: the goals before the step, as
+    observed.
 
     ## Arguments
 
@@ -100,12 +106,12 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
     |---|---|---|
     | `machine` | `"hframe"` | preset name, path of a machine.json, `Machine` |
     | `task` | `"reach"` | `"reach"`, `"track"`, `Reach(...)`, `Track(...)`, another registered task, `Task` |
-    | `reward` | `None` | `"dense"` (default), `"progress"` (default with `normalize`), `"sparse"`, a function |
+    | `reward` | `None` | `"dense"` (default), `"progress"` (that with `normalize`), `"sparse"`, a function |
     | `randomize` | `"none"` | `"none"`, `"default"`, `"wide"`, `"identified"`, a list of rules |
     | `sensors` | `"state"` | `"state"`, `"rig"`, `"machine"`, `Sensors(...)` |
     | `drives` | `"ideal"` | `"ideal"`, `"rig"`, `"machine"`, `Actuators(...)` |
     | `privileged` | `False` | whether the observation has `privileged` |
-    | `normalize` | `False` | whether observations and goals are (value - center) / scale, as `entries` states them |
+    | `normalize` | `False` | whether observations and goals are (value - center) / scale, as in `entries` |
     | `flat` | `False` | whether the observation is one array |
     | `error` | `False` | whether the observation has `error` |
     | `ends` | `"stops"` | `"stops"`, `"terminate"` |
@@ -139,18 +145,18 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin an episode: sample parameters, put the tool at rest at its start position and choose the goal.
+        """Begin an episode: sample parameters, put the tool at rest at its start and choose the goal.
 
         Args:
             seed: Seed of the environment's random generator; None continues the present sequence.
-            options: Optional keys `start` and `target`: tool and goal positions, m, shape (axes,), in place of those
-                that the task chooses; `parameters`: values by full name ("x.mass"), SI, in place of the sampled ones,
-                for this episode; `state`: positions of the machine's n coordinates, then their velocities, in their
-                units, shape (2 n,), in place of `start` and rest.
+            options: Optional keys `start` and `target`: tool and goal positions, m, shape (axes,), in place
+                of those that the task chooses; `parameters`: values by full name ("x.mass"), SI, in place of
+                the sampled ones, for this episode; `state`: positions of the machine's n coordinates, then
+                their velocities, in their units, shape (2 n,), in place of `start` and rest.
 
         Raises:
-            InputError: If an option or a parameter is unknown or impossible, a position is outside the workspace, or
-                `target` is given for a task without one, such as "track".
+            InputError: If an option or a parameter is unknown or impossible, a position is outside the
+                workspace, or `target` is given for a task without one, such as "track".
         """
         keywords = reset_keywords(options, self.batch, 1)  # an error changes no random numbers
         super().reset(seed=seed)
@@ -168,10 +174,10 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
 
     @override
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Apply voltages, as fractions of the rated ones limited to [-1, 1], shape (drives,), for one control period.
+        """Apply voltages, fractions of rated ones limited to [-1, 1], shape (drives,), for one period.
 
-        `terminated` is False unless `ends` is "terminate" and `achieved_goal` is outside the workspace; `truncated` is
-        always False, because `gym.make` adds the limit of 150 steps.
+        `terminated` is False unless `ends` is "terminate" and `achieved_goal` is outside the workspace;
+        `truncated` is always False, because `gym.make` adds the limit of 150 steps.
 
         Raises:
             ValueError: If the action has another shape or an entry is not finite.
@@ -187,10 +193,10 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
         return observation, result.reward.item(), result.terminated.item(), False, info
 
     def get_state(self) -> dict[str, Any]:
-        """Copy the complete state for `set_state`, which can be pickled; continued from it, all is the same to the bit.
+        """Copy the complete state for `set_state`, picklable; continued from it, all is equal to the bit.
 
-        It includes the random generator, so that the episodes after this one are the same too. The limit of steps that
-        `gym.make` adds counts in its wrapper and is not included.
+        It includes the random generator, so that the episodes after this one are the same too. The limit of
+        steps that `gym.make` adds counts in its wrapper and is not included.
         """
         return {
             **self._shared_state("single"),
@@ -200,7 +206,7 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Put the environment into a state of an environment with the same options; an InputError changes nothing."""
+        """Put the environment into a state of one with the same options; an InputError changes nothing."""
         self._restore_shared(state, "single")
         if state["generator"] is None:
             self._np_random = None
@@ -211,7 +217,7 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
         self._trail = deque(state["trail"], maxlen=TRAIL_LENGTH)
 
     def _first(self, observation: Observation) -> Any:
-        """Return the observation of the only environment in the form that `normalize`, `flat` and `error` select."""
+        """Return the observation of the only environment in the form of `normalize`, `flat` and `error`."""
         if self._formats:
             formatted = self.batch.format.apply(observation)
             if not isinstance(formatted, dict):
@@ -236,7 +242,8 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
             info["parameters"] = self._parameters.copy()
         return info
 
-    # -- rendering -------------------------------------------------------------------------------------------------
+    # -- rendering
+    # -------------------------------------------------------------------------------------------------
 
     def _update_picture(self) -> None:
         """Extend the trail of the picture, and update the window in mode "human"."""
@@ -275,12 +282,13 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
 class HFrameTrackEnv(HFrameEnv):
     """`HFrameEnv` with a goal that moves along a path (`HFrameTrack-v0`).
 
-    The action space, observation space, rewards and arguments are those of `HFrameEnv`; the observation has `preview`
-    and the info `contour_m`.
+    The action space, observation space, rewards and arguments are those of `HFrameEnv`; the observation has
+    `preview` and the info `contour_m`.
 
     Args:
         render_mode: None, "rgb_array" or "human".
-        **options: Keywords of `EnvConfig`. `task` is "track" by default; another task must have `metrics` "track".
+        **options: Keywords of `EnvConfig`. `task` is "track" by default; another task must have `metrics`
+            "track".
 
     Raises:
         InputError: If the task has no path, or an option is invalid.

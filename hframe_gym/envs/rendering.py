@@ -60,7 +60,7 @@ class Scene:
 
     @classmethod
     def of(cls, batch: EnvironmentBatch, b: int, trail: Sequence[Point]) -> Scene:
-        """Collect the data for a picture of environment b, with the `trail` of past tool positions, m, oldest first."""
+        """Collect data for a picture of environment b, with a `trail` of tool positions, m, oldest first."""
         index = np.array([b])
         position = batch.simulator.positions(b)
         # A drive without a pulley is drawn at rest.
@@ -101,8 +101,8 @@ def tension_color(tension: float | None) -> Color:
     """Return the color of a belt in a picture: gray at its pretension, blue below, red above.
 
     Args:
-        tension: Tension minus pretension, N. Beyond +-40 N the color does not change. None (unknown) or a value that is
-            not finite gives a darker gray.
+        tension: Tension minus pretension, N. Beyond +-40 N the color does not change. None (unknown) or a
+            value that is not finite gives a darker gray.
     """
     if tension is None or not math.isfinite(tension):
         return UNKNOWN
@@ -173,7 +173,8 @@ class Renderer:
         """Draw the machine of a scene from above, with its belts, the goal and the past path of the tool.
 
         Returns:
-            Picture, uint8, shape (660, 880, 3), in mode "rgb_array"; None in mode "human" (updates the window).
+            Picture, uint8, shape (660, 880, 3), in mode "rgb_array"; None in mode "human" (updates the
+            window).
 
         Raises:
             InputError: In mode "human", if there is no display.

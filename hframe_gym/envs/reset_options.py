@@ -1,4 +1,4 @@
-"""The argument `options` of `reset`: what replaces the task's positions, the sampled parameters and the rest."""
+"""The argument `options` of `reset`: what replaces the task's positions, sampled parameters and the rest."""
 
 from __future__ import annotations
 
@@ -19,12 +19,13 @@ def reset_keywords(
     """Convert the options of a reset to keywords of `EnvironmentBatch.reset`.
 
     Args:
-        options: Dict with the optional keys `start`, `target`, `parameters` and `state`, see `HFrameEnv.reset`; each
-            has values for all environments, or a row for each. None: no options.
+        options: Dict with the optional keys `start`, `target`, `parameters` and `state`, see
+            `HFrameEnv.reset`; each has values for all environments, or a row for each. None: no options.
 
     Raises:
-        InputError: If the options are not a dict, a key or parameter is unknown, or a value has another shape, is not
-            finite, or is outside its limits or the workspace. Also if both `start` and `state` are given.
+        InputError: If the options are not a dict, a key or parameter is unknown, or a value has another
+            shape, is not finite, or is outside its limits or the workspace. Also if both `start` and `state`
+            are given.
     """
     accepted = ("start", "target", "parameters", "state", *others)
     listed = f"{', '.join(map(repr, accepted[:-1]))} or {accepted[-1]!r}"

@@ -1,11 +1,12 @@
 """Rewards: functions of the achieved and the desired position, and of nothing else.
 
-A reward is called with achieved and desired positions, float32, m, shape (n, axes) each, and returns (n,) float64. A
-replay buffer can therefore compute the rewards again for other goals and gets the same bits. The built-in rewards use
-only arithmetic and the square root, which round alike on every machine; "progress" has a logarithm.
+A reward is called with achieved and desired positions, float32, m, shape (n, axes) each, and returns (n,)
+float64. A replay buffer can therefore compute the rewards again for other goals and gets the same bits. The
+built-in rewards use only arithmetic and the square root, which round alike on every machine; "progress" has a
+logarithm.
 
-Register a new one under a name with `@REWARDS.register("name")`: a class, or a function that returns a reward, which
-is called with the task's tolerance band in m.
+Register a new one under a name with `@REWARDS.register("name")`: a class, or a function that returns a
+reward, which is called with the task's tolerance band in m.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ from .workspace import outside_workspace
 
 Positions: TypeAlias = NDArray[np.float32]
 Reward: TypeAlias = Callable[[Positions, Positions], Array]
-# The last arguments of `evaluate_rows`: kind, band and length of a unit of a built-in reward, and the arrays for
-# distances and rewards.
+# The last arguments of `evaluate_rows`: kind, band and length of a unit of a built-in reward, and the arrays
+# for distances and rewards.
 Evaluation: TypeAlias = tuple[int, float, float, Array, Array]
 RewardLike: TypeAlias = Literal["dense", "sparse"] | str | Reward
 
@@ -37,7 +38,8 @@ REWARDS: Registry[Callable[[float], Reward]] = Registry("reward")
 
 # m. One scale per decade, so that halving the distance pays about the same from 0.5 m down to 10 um.
 SCALES = (2e-1, 2e-2, 2e-3, 2e-4, 2e-5)
-# Weights of the scales in the reward "arrival": the time until 0.2 mm depends on the last millimeters before the goal.
+# Weights of the scales in the reward "arrival": the time until 0.2 mm depends on the last millimeters before
+# the goal.
 ARRIVAL_WEIGHTS = (0.05, 0.05, 0.3, 0.5, 0.1)
 PROGRESS_SCALE = 1e-3  # m; below this distance, coming closer pays less and less in the reward "progress"
 _DENSE, _SPARSE, PROGRESS, _ARRIVAL = 0, 1, 2, 3
@@ -45,11 +47,12 @@ _DENSE, _SPARSE, PROGRESS, _ARRIVAL = 0, 1, 2, 3
 
 @compiled
 def row_distance(first: Any, second: Any, b: int) -> float:
-    """Compute the Euclidean distance, m, between row b of two arrays of positions, m, shape (n, axes) each."""
+    """Compute Euclidean distance, m, between rows b of two arrays of positions, m, shape (n, axes) each."""
     last = first.shape[1] - 1
     x = np.float64(first[b, 0]) - np.float64(second[b, 0])
     y = np.float64(first[b, last]) - np.float64(second[b, last])
-    # The factor is 1 with two axes and 0 with one; a branch would keep the compiler from vectorizing the loops.
+    # The factor is 1 with two axes and 0 with one; a branch would keep the compiler from vectorizing the
+    # loops.
     return np.sqrt(x * x + np.float64(last) * (y * y))
 
 
@@ -67,15 +70,16 @@ def evaluate_rows(
     distance: Any,
     reward: Any,
 ) -> None:
-    """Compute the distances to the goal and the built-in rewards of rows first to last - 1 (one row per environment).
+    """Compute distances to the goal and built-in rewards of rows first to last - 1 (one row per environment).
 
     Args:
         tool: True tool positions, m, shape (n, axes).
         achieved: Tool positions that the reward uses, true or measured, m, shape (n, axes).
         measured: Whether `achieved` is measured and can differ from `tool`; if not, only `tool` is used.
         desired: Goal positions, m, shape (n, axes).
-        kind: Number of the built-in reward for the distance d. 0: dense, from -1 (far) to 0 (at the goal). 1: sparse, 0
-            within `band` and -1 outside. 2: the potential of "progress", -ln(1 + d / 1 mm). 3: arrival, like dense.
+        kind: Number of the built-in reward for the distance d. 0: dense, from -1 (far) to 0 (at the goal). 1:
+            sparse, 0 within `band` and -1 outside. 2: the potential of "progress", -ln(1 + d / 1 mm). 3:
+            arrival, like dense.
         band: Distance to the goal within which the sparse reward is 0, m or rad.
         meters: Length that a unit of position counts as in the other rewards: 1 m for m, `ARM` for rad.
         distance: Output, distances from `tool` to `desired`, m or rad, shape (n,).
@@ -116,7 +120,7 @@ def evaluate_rows(
 
 
 def _check_same_shape(achieved: Positions, desired: Positions) -> None:
-    """Raise InputError unless two arrays have the same shape (n, axes), which compiled code does not check."""
+    """Raise InputError unless two arrays have one shape (n, axes), which compiled code does not check."""
     if achieved.shape != desired.shape or achieved.ndim != 2:
         raise InputError(
             f"reward: positions of shapes {achieved.shape} and {desired.shape}; both must be (n, axes)"
@@ -148,7 +152,7 @@ class BuiltinReward:
     kind = _DENSE
 
     def __call__(self, achieved: Positions, desired: Positions) -> Array:
-        """Compute rewards, shape (n,), of achieved tool positions and goal positions, m, shape (n, axes) each."""
+        """Compute rewards, shape (n,), of achieved tool and goal positions, m, shape (n, axes) each."""
         _check_same_shape(achieved, desired)
         distance, reward = np.empty(len(achieved)), np.empty(len(achieved))
         constants = self.kind, self.band, self.meters
@@ -158,11 +162,12 @@ class BuiltinReward:
 
 @REWARDS.register("dense")
 class DenseReward(BuiltinReward):
-    """Reward -mean(d / (d + scale)) over the five lengths 0.2 m, 20 mm, ..., 20 um (`SCALES`), with the distance d.
+    """Reward -mean(d / (d + scale)) over lengths 0.2 m, 20 mm, ..., 20 um (`SCALES`), with the distance d.
 
-    It is 0 at the goal and approaches -1 far from it. In between it resembles -log d: its slope at 0.1 mm is about a
-    hundred times that at 10 mm, so that the last tenths of a millimeter still change the reward measurably. The lengths
-    of rotary axes are ways at the end of an arm of 0.1 m (`ARM`): d is 0.1 m times the angle.
+    It is 0 at the goal and approaches -1 far from it. In between it resembles -log d: its slope at 0.1 mm is
+    about a hundred times that at 10 mm, so that the last tenths of a millimeter still change the reward
+    measurably. The lengths of rotary axes are ways at the end of an arm of 0.1 m (`ARM`): d is 0.1 m times
+    the angle.
     """
 
     kind = _DENSE
@@ -177,9 +182,10 @@ class SparseReward(BuiltinReward):
 
 @REWARDS.register("arrival")
 class ArrivalReward(BuiltinReward):
-    """Reward like `DenseReward` with the weights 0.05, 0.05, 0.3, 0.5 and 0.1 of its lengths, from 0.2 m to 20 um.
+    """Reward like `DenseReward` with the weights 0.05, 0.05, 0.3, 0.5 and 0.1 of lengths 0.2 m to 20 um.
 
-    Coming from 1 to 0.2 mm pays 1.8 times as much as with "dense", and coming from 0.2 m to 10 mm less than half.
+    Coming from 1 to 0.2 mm pays 1.8 times as much as with "dense", and coming from 0.2 m to 10 mm less than
+    half.
     """
 
     kind = _ARRIVAL
@@ -191,7 +197,8 @@ class PenalizedReward:
 
     Args:
         reward: Reward inside the workspace, a function of achieved and desired positions.
-        workspace: One row per axis of the tool, columns low and high, m, float32 as positions, shape (axes, 2).
+        workspace: One row per axis of the tool, columns low and high, m, float32 as positions,
+            shape (axes, 2).
         penalty: Amount subtracted where the achieved position is outside the workspace, not negative.
     """
 
@@ -212,20 +219,22 @@ def as_reward(reward: RewardLike, band: float, axes: int = 2, unit: AxisUnit = M
     """Convert the environment option `reward` to a reward function.
 
     Args:
-        reward: Registered name ("dense", "sparse", ...), `package.module:name`, or a reward function as it is returned.
-        band: Distance to the goal that counts as a success, m. What is registered under a name is called with it and
-            returns the reward function; a function that is given directly does not receive it.
+        reward: Registered name ("dense", "sparse", ...), `package.module:name`, or a reward function as it is
+            returned.
+        band: Distance to the goal that counts as a success, m. What is registered under a name is called with
+            it and returns the reward function; a function that is given directly does not receive it.
         axes: Number of axes of the tool, for a test call of the function.
-        unit: Unit of positions and of the band; the lengths of built-in rewards hold for angles at the end of an arm.
+        unit: Unit of positions and of the band; the lengths of built-in rewards hold for angles at the end of
+            an arm.
 
     Returns:
-        Function of achieved and desired positions, m, shape (n, axes) each, that returns rewards, dimensionless, shape
-        (n,). The function for "progress" returns a potential instead, from whose increase in a step `StepRewards`
-        computes the reward.
+        Function of achieved and desired positions, m, shape (n, axes) each, that returns rewards,
+        dimensionless, shape (n,). The function for "progress" returns a potential instead, from whose
+        increase in a step `StepRewards` computes the reward.
 
     Raises:
-        InputError: If the name is unknown, the function cannot be called with two arrays, or it does not return one
-            finite number per row.
+        InputError: If the name is unknown, the function cannot be called with two arrays, or it does not
+            return one finite number per row.
     """
     if isinstance(reward, str):
         function = REWARDS.get(reward)(band)

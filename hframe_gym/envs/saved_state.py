@@ -1,8 +1,9 @@
 """Save and restore the complete state of environments.
 
-The state is everything that changes: positions, velocities and the internal states of effects, sampled parameters,
-histories of voltages and readings (dead times, delays), measurements, goals, counters of the random numbers. It is
-collected from the objects themselves, so that a new part of the simulation is saved without a line here.
+The state is everything that changes: positions, velocities and the internal states of effects, sampled
+parameters, histories of voltages and readings (dead times, delays), measurements, goals, counters of the
+random numbers. It is collected from the objects themselves, so that a new part of the simulation is saved
+without a line here.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ def batch_state(batch: Any) -> dict[str, Any]:
 
 
 def restore_batch(batch: Any, state: dict[str, Any]) -> None:
-    """Put an `EnvironmentBatch` into a state of `batch_state`; an InputError for another one changes nothing."""
+    """Put an `EnvironmentBatch` into a state of `batch_state`; an InputError for others changes nothing."""
     attributes = {path: (owner, name) for path, owner, name in _attributes(batch)}
     different = sorted(set(attributes) ^ set(state))
     if different:
@@ -63,7 +64,7 @@ def check_state(state: Any, kind: str, batch: Any) -> None:
 
 
 def _attributes(root: Any) -> Iterator[tuple[str, Any, str]]:
-    """Yield path, owner and name of every attribute with plain data in the objects of this package below a root."""
+    """Yield path, owner and name of each attribute with plain data in this package's objects below a root."""
     pending, seen = [("", root)], {id(root)}
     while pending:
         prefix, owner = pending.pop()
@@ -97,7 +98,7 @@ def _is_plain(value: Any) -> bool:
 
 
 def _is_part(value: Any) -> bool:
-    """Return whether a value is an object of this package that can change: settings and machines are frozen."""
+    """Return whether a value is an object of this package that can change; settings and machines cannot."""
     if isinstance(value, type | Machine) or not hasattr(value, "__dict__"):
         return False
     parameters = getattr(type(value), "__dataclass_params__", None)

@@ -26,7 +26,7 @@ Indices = None | int | Iterable[int]
 
 
 def _vector_entry_point(env_id: str) -> tuple[type[HFrameVectorEnv], dict[str, Any]]:
-    """Return the vector environment of an id and the keywords of its registration; raises InputError for another id."""
+    """Return the vector environment of an id and its registered keywords; an InputError for another id."""
     spec = gym.registry.get(env_id) if isinstance(env_id, str) else None
     make = (
         load_env_creator(spec.vector_entry_point)
@@ -56,11 +56,11 @@ def _with_rows(observation: Any, other: Any, rows: NDArray[np.bool_]) -> Any:
 class HFrameVecEnv(VecEnv):  # type: ignore[misc]
     """Simulate many independent environments behind the `VecEnv` interface of stable-baselines3.
 
-    Observations are new dicts of arrays. Where an episode ended, they are those after the reset, and the info holds
-    `terminal_observation`, `TimeLimit.truncated` (the limit, not the workspace's edge, ended the episode), `is_success`
-    and `distance_m` at its end. The info of an episode that continues is empty, except that with the reward "progress"
-    every info holds `previous_achieved_goal` (and `previous_desired_goal` if goals move), which `compute_reward` needs,
-    and that every info holds what wrappers add.
+    Observations are new dicts of arrays. Where an episode ended, they are those after the reset, and the info
+    holds `terminal_observation`, `TimeLimit.truncated` (the limit, not the workspace's edge, ended the
+    episode), `is_success` and `distance_m` at its end. The info of an episode that continues is empty, except
+    that with the reward "progress" every info holds `previous_achieved_goal` (and `previous_desired_goal` if
+    goals move), which `compute_reward` needs, and that every info holds what wrappers add.
 
     Args:
         num_envs: Number of environments.
@@ -76,7 +76,8 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         reset_infos: One dict per environment; `parameters` holds the randomized parameters, SI, by full name.
 
     Raises:
-        InputError: If an option is invalid, options do not fit together, or the id is not one of this package.
+        InputError: If an option is invalid, options do not fit together, or the id is not one of this
+            package.
         TypeError: If a keyword is unknown; the message lists the keywords.
     """
 
@@ -123,13 +124,13 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
 
     @override
     def reset(self) -> Any:
-        """Begin episodes with the seeds and options that `seed` and `set_options` stored, for this reset only.
+        """Begin episodes with seeds and options that `seed` and `set_options` stored, for this reset only.
 
         The stored seeds remain if the reset raises an error: the next reset then uses them.
 
         Raises:
-            InputError: If an option is unknown, a position is outside the workspace, or `set_options` gave an option to
-                some environments only.
+            InputError: If an option is unknown, a position is outside the workspace, or `set_options` gave an
+                option to some environments only.
         """
         options = self._options
         self._reset_options()
@@ -142,7 +143,7 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         return observation
 
     def _stacked(self, options: Any) -> dict[str, Any]:
-        """Return options of all environments, one row each; raises InputError unless all have the same options."""
+        """Return options of all environments, one row each; raises InputError unless all have the same."""
         if not isinstance(options, Sequence) or not all(isinstance(entry, dict) for entry in options):
             raise InputError(
                 f"set_options: {options!r} must be a dict, or a list of one dict per environment"
@@ -161,17 +162,17 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
 
     @override
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Store actions, fractions of the rated voltages, shape (num_envs, drives); `step_wait` applies them."""
+        """Store actions, fractions of rated voltages, shape (num_envs, drives); `step_wait` applies them."""
         self._actions = actions
 
     @override
     def step_wait(self) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], list[dict[str, Any]]]:
         """Advance by one control period with the actions that `step_async` has received.
 
-        Where an episode ended, the observation is the first one of the next episode, and `infos` also has `is_success`
-        (tool within the task's band around the goal) and `distance_m` to the goal, m, at its end. With the reward
-        "progress", it has the goals before the step: `previous_achieved_goal` and, if goals move,
-        `previous_desired_goal`.
+        Where an episode ended, the observation is the first one of the next episode, and `infos` also has
+        `is_success` (tool within the task's band around the goal) and `distance_m` to the goal, m, at its
+        end. With the reward "progress", it has the goals before the step: `previous_achieved_goal` and, if
+        goals move, `previous_desired_goal`.
 
         Raises:
             ValueError: If the actions have another shape or an entry is not finite.
@@ -217,11 +218,12 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         """Draw the machine of every environment from above; the shape of a picture is (height, width, 3)."""
         return self.envs.render() or [None] * self.num_envs
 
-    # -- stable-baselines3's access to single environments; all are part of one vector environment -------------------
+    # -- stable-baselines3's access to single environments; all are part of one vector environment
+    # -------------------
 
     @override
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """Return an attribute of the vector environment, which is the same for all environments, once per index."""
+        """Return an attribute of the vector environment, the same for all environments, once per index."""
         return [self.envs.get_attr(attr_name)[0]] * len(list(self._get_indices(indices)))
 
     @override

@@ -1,10 +1,11 @@
 """Rewards of steps, and the reward "progress", which compares the positions before and after a step.
 
-Goals *as observed* are in m or, with the option `normalize`, normalized. `achieved_goal` is the tool position and
-`desired_goal` the position where it should be.
+Goals *as observed* are in m or, with the option `normalize`, normalized. `achieved_goal` is the tool position
+and `desired_goal` the position where it should be.
 
 References:
-    Ng, Harada and Russell, "Policy invariance under reward transformations" (1999), for the reward "progress".
+    Ng, Harada and Russell, "Policy invariance under reward transformations" (1999), for the reward
+    "progress".
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ from .rewards import (
     row_distance,
 )
 
-# Per step at the goal, and the distance at which it is halved, m. Without it nothing but the discount makes an agent
-# prefer to stay close, and exploration hides that: PPO was then still at 2 mm after 100 000 steps.
+# Per step at the goal, and the distance at which it is halved, m. Without it nothing but the discount makes
+# an agent prefer to stay close, and exploration hides that: PPO was then still at 2 mm after 100 000 steps.
 PRECISION_BONUS, BONUS_SCALE = 1.0, 2e-3
 
 
@@ -41,14 +42,15 @@ PRECISION_BONUS, BONUS_SCALE = 1.0, 2e-3
 class ProgressReward(BuiltinReward):
     """Reward for coming closer to the goal in a step and for being there.
 
-    It is ln((d0 + d before) / (d0 + d after)) + 1 / (1 + d after / d1) with d0 = 1 mm and d1 = 2 mm. Each halving of
-    the distance d pays 0.69, at 100 mm as at 10 mm, and moving away costs as much. A critic has little to learn before
-    the policy can improve, so that PPO with its default hyperparameters learns several times as fast as with "dense".
-    The first term is the potential-based shaping of Ng, Harada and Russell (1999): it changes the best policy only as
-    far as the future is discounted. The second term pays for precision.
+    It is ln((d0 + d before) / (d0 + d after)) + 1 / (1 + d after / d1) with d0 = 1 mm and d1 = 2 mm. Each
+    halving of the distance d pays 0.69, at 100 mm as at 10 mm, and moving away costs as much. A critic has
+    little to learn before the policy can improve, so that PPO with its default hyperparameters learns several
+    times as fast as with "dense". The first term is the potential-based shaping of Ng, Harada and Russell
+    (1999): it changes the best policy only as far as the future is discounted. The second term pays for
+    precision.
 
-    Calling the object gives the potential -ln(1 + d / d0), whose increase in a step is the first term; `StepRewards`
-    keeps the potential before the step and adds the second term.
+    Calling the object gives the potential -ln(1 + d / d0), whose increase in a step is the first term;
+    `StepRewards` keeps the potential before the step and adds the second term.
     """
 
     kind = PROGRESS
@@ -73,10 +75,11 @@ def _evaluate_step(
     distance: Any,
     reward: Any,
 ) -> None:
-    """Write distances from tool to desired and built-in rewards of rows first..last-1; arguments as `evaluate_rows`.
+    """Write distances from tool to desired and built-in rewards of rows first..last-1, as `evaluate_rows`.
 
-    rounding (2, axes): center and scale by which achieved and desired are normalized and restored, as an agent sees
-    them; scale 0: not at all. before (n,): potentials of "progress" before the step, replaced by those after it.
+    rounding (2, axes): center and scale by which achieved and desired are normalized and restored, as an
+    agent sees them; scale 0: not at all. before (n,): potentials of "progress" before the step, replaced by
+    those after it.
     """
     count, axes = last - first, desired.shape[1]
     goals = np.empty((2, count, axes), np.float32)
@@ -110,8 +113,8 @@ class StepRewards:
     Attributes:
         compares_steps: Whether the reward needs the goals of the step before.
         compiled: Whether `write` computes the rewards; if not, `of_step` does.
-        depends_on_distance: Whether the reward of a step is a built-in function of the distance alone, for which
-            `evaluation` gives the arguments of `evaluate_rows`.
+        depends_on_distance: Whether the reward of a step is a built-in function of the distance alone, for
+            which `evaluation` gives the arguments of `evaluate_rows`.
     """
 
     def __init__(
@@ -131,7 +134,8 @@ class StepRewards:
         self._potential = np.zeros(count)
         inside = reward.reward if isinstance(reward, PenalizedReward) else reward
         self._progress = inside if isinstance(inside, ProgressReward) else None
-        # Of the goals before and after the last step, m, these are kept; none unless the reward compares two steps.
+        # Of the goals before and after the last step, m, these are kept; none unless the reward compares two
+        # steps.
         self._keys: tuple[str, ...] = ()
         if self._progress is not None:
             self._keys = ("achieved_goal", "desired_goal") if moving else ("achieved_goal",)
@@ -140,7 +144,7 @@ class StepRewards:
         self._after: dict[str, Positions] = {}
 
     def begin(self, index: Index, observation: Mapping[str, Positions]) -> None:
-        """Store the goals, m, shape (count, axes), of `observation` in the rows `index`, where episodes start.
+        """Store goals, m, shape (count, axes), of `observation` in the rows `index`, where episodes start.
 
         Only the reward "progress" needs them; for others this method does nothing.
         """
@@ -175,15 +179,17 @@ class StepRewards:
     ) -> None:
         """Compute distances and rewards of the last step for some environments, in compiled code.
 
-        Call it only if the attribute `compiled` is True, and once per step and environment: the reward "progress"
-        compares the distances after this step with those that the previous call stored. Calls for different rows may
-        run in several threads at once.
+        Call it only if the attribute `compiled` is True, and once per step and environment: the reward
+        "progress" compares the distances after this step with those that the previous call stored. Calls for
+        different rows may run in several threads at once.
 
         Args:
             rows: The environments, a slice with start and stop.
-            observation: Arrays by key, of which `achieved_goal` and `desired_goal`, m, shape (count, axes), are used.
+            observation: Arrays by key, of which `achieved_goal` and `desired_goal`, m, shape (count, axes),
+                are used.
             tool: True tool positions, m, shape (count, axes).
-            distance: Output, distances from `tool` to the goals, m, shape (count,); other rows are not changed.
+            distance: Output, distances from `tool` to the goals, m, shape (count,); other rows are not
+                changed.
             reward: Output, rewards, dimensionless, shape (count,); other rows are not changed.
         """
         achieved, desired = observation["achieved_goal"], observation["desired_goal"]
@@ -193,7 +199,8 @@ class StepRewards:
     def keep_goals(self, observation: Mapping[str, Positions]) -> None:
         """Store the goals after a step, shape (count, axes), for the next step's `info`.
 
-        Call it with the `observation` once per step if the attribute `compares_steps` is True (reward "progress").
+        Call it with the `observation` once per step if the attribute `compares_steps` is True (reward
+        "progress").
         """
         self._before, self._after = self._after, {key: observation[key].copy() for key in self._keys}
 
@@ -209,7 +216,7 @@ class StepRewards:
         return rewards
 
     def info(self) -> dict[str, Positions]:
-        """Return the goals before the last step by key, as observed, shape (count, axes), for the environment's info.
+        """Return the goals before the last step by key, as observed, shape (count, axes), for the info.
 
         `compute` needs them to compute the reward "progress" again, for example for relabeled goals. Right
         after a reset they are the present goals. The dict is empty for rewards other than "progress".
@@ -226,13 +233,14 @@ class StepRewards:
 
         Args:
             achieved_goal: Achieved goals as observed (m, or normalized), shape (axes,) or (n, axes).
-            desired_goal: Desired goals, likewise. A single goal is combined with each of n goals of the other argument.
-            info: Info of the step, or one info per row. Only the reward "progress" uses it: `previous_achieved_goal`
-                and, if goals move, `previous_desired_goal`.
+            desired_goal: Desired goals, likewise. A single goal is combined with each of n goals of the other
+                argument.
+            info: Info of the step, or one info per row. Only the reward "progress" uses it:
+                `previous_achieved_goal` and, if goals move, `previous_desired_goal`.
 
         Raises:
-            InputError: If the shapes of the goals do not fit together. For the reward "progress" also if an info lacks
-                the goals before the step, or there is not one info per row.
+            InputError: If the shapes of the goals do not fit together. For the reward "progress" also if an
+                info lacks the goals before the step, or there is not one info per row.
         """
         achieved, desired = self._same_shape(achieved_goal, desired_goal)
         rewards = self._evaluate(self.reward, achieved, desired)
@@ -242,7 +250,7 @@ class StepRewards:
         return rewards if achieved.ndim > 1 else float(rewards[0])
 
     def _same_shape(self, achieved_goal: Any, desired_goal: Any) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return goals as two arrays of one shape, (axes,) or (n, axes); raise InputError if they do not fit."""
+        """Return goals as arrays of one shape, (axes,) or (n, axes); raise InputError if they do not fit."""
         achieved, desired = np.asarray(achieved_goal), np.asarray(desired_goal)
         axes = self._rounding.shape[1]
         fits = all(goal.ndim in (1, 2) and goal.shape[-1] == axes for goal in (achieved, desired))
@@ -264,7 +272,7 @@ class StepRewards:
 
 
 def _previous_goals(info: Any, desired: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return the achieved and the desired goals before a step, of the shape of `desired`, from one or many infos."""
+    """Return achieved and desired goals before a step, of the shape of `desired`, from one or many infos."""
     infos = [info] if isinstance(info, Mapping) else list(info if info is not None else ())
     if not infos or any("previous_achieved_goal" not in each for each in infos):
         raise InputError(

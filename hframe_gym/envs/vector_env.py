@@ -39,11 +39,11 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
 
     ## Episode End
 
-    As for `HFrameEnv`, with truncation after `max_episode_steps`. The autoreset modes are Gymnasium's: "NextStep"
-    (the step after an episode's end resets and ignores its action), "SameStep" (the last step resets; `final_obs` and
-    `final_info` in the info describe the end of the episode) and "Disabled" (the caller resets, with
-    options={"reset_mask": mask}, where mask is a bool array of shape (num_envs,)). The arrays of `parameters` in an
-    info are read-only.
+    As for `HFrameEnv`, with truncation after `max_episode_steps`. The autoreset modes are Gymnasium's:
+    "NextStep" (the step after an episode's end resets and ignores its action), "SameStep" (the last step
+    resets; `final_obs` and `final_info` in the info describe the end of the episode) and "Disabled" (the
+    caller resets, with options={"reset_mask": mask}, where mask is a bool array of shape (num_envs,)). The
+    arrays of `parameters` in an info are read-only.
 
     ## Arguments
 
@@ -108,7 +108,7 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
 
     @property
     def parameters(self) -> Array:
-        """Values of the n `machine.parameters`, in their order, in the running episodes, SI, shape (num_envs, n)."""
+        """Values of the n `machine.parameters`, in order, in running episodes, SI, shape (num_envs, n)."""
         return self.batch.values[:, : len(self.machine.parameters)].copy()
 
     @property
@@ -132,8 +132,8 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         """Begin episodes in all environments, or in those that the option `reset_mask` selects.
 
         Args:
-            seed: Seed s, which gives environment i the seed s + i, or one seed per environment. None: the present
-                sequences of random numbers continue.
+            seed: Seed s, which gives environment i the seed s + i, or one seed per environment. None: the
+                present sequences of random numbers continue.
             options: The keys of `HFrameEnv.reset`, with one value for all or one row for each environment
                 that is reset; `reset_mask`, the environments to reset, bool, shape (num_envs,).
 
@@ -161,7 +161,7 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
     def _generators(
         self, seed: int | Sequence[int | None] | None, index: Index
     ) -> dict[int, np.random.Generator]:
-        """Return the random generators of environments index (k,) that are seeded; raise an error for a bad seed."""
+        """Return the random generators of seeded environments (k,); raise an error for a bad seed."""
         if seed is None:
             return {}
         seeds = list(seed) if isinstance(seed, Sequence) else [seed + b for b in range(self.num_envs)]
@@ -170,7 +170,7 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         return {b: seeding.np_random(seeds[b])[0] for b in index.tolist() if seeds[b] is not None}
 
     def _selected(self, mask: Any) -> Index:
-        """Return the environments of a mask, all without one; raises TypeError or ValueError for an invalid mask."""
+        """Return a mask's environments, all without one; raises TypeError or ValueError for invalid ones."""
         if mask is None:
             return np.arange(self.num_envs)
         if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
@@ -183,10 +183,11 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
 
     @override
     def step(self, actions: Any) -> tuple[Observation, Array, Flags, Flags, dict[str, Any]]:
-        """Advance all environments by one control period as `HFrameEnv.step`; begin new episodes where they are due.
+        """Advance all environments by a period as `HFrameEnv.step`; begin new episodes where they are due.
 
-        With `autoreset_mode` "NextStep" a new episode begins in the step after its predecessor's end, which ignores the
-        action and has reward 0; with "SameStep" in the last step; with "Disabled" only by `reset`.
+        With `autoreset_mode` "NextStep" a new episode begins in the step after its predecessor's end, which
+        ignores the action and has reward 0; with "SameStep" in the last step; with "Disabled" only by
+        `reset`.
 
         Raises:
             ValueError: If the actions have another shape or an entry is not finite.
@@ -228,7 +229,8 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         self.batch.restart(index, observation, result)
         self._collect_parameters()
 
-    # -- info: each key with its mask "_key" -----------------------------------------------------------------------
+    # -- info: each key with its mask "_key"
+    # -----------------------------------------------------------------------
 
     def _describe(
         self, info: dict[str, Any], mask: Flags | None, distance: Array, contour: Array | None
@@ -311,7 +313,7 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         return {**self._shared_state("vector"), "over": self._over.copy(), "trails": trails}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Put the environments into a state of `get_state`; an InputError for other ones or options changes nothing."""
+        """Put the environments into a state of `get_state`; an InputError for others changes nothing."""
         self._restore_shared(state, "vector")
         self._over = state["over"].copy()
         self._collect_parameters()
@@ -319,10 +321,11 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
             trail.clear()
             trail.extend(points)
 
-    # -- Gymnasium's access to single environments; all are rows of this one ---------------------------------------
+    # -- Gymnasium's access to single environments; all are rows of this one
+    # ---------------------------------------
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Call a method, or read an attribute, that all environments share; return the result once per environment."""
+        """Call a method, or read an attribute, of all environments; return the result for each."""
         value = self._shared(name)
         return (value(*args, **kwargs) if callable(value) else value,) * self.num_envs
 
@@ -334,8 +337,8 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         """Set an attribute, which all environments share; a list or tuple has one value per environment.
 
         Raises:
-            AttributeError: If there is no such attribute: nothing would read it. Options are fixed when the environment
-                is made, and `reset(options=...)` sets parameters, starts and goals.
+            AttributeError: If there is no such attribute: nothing would read it. Options are fixed when the
+                environment is made, and `reset(options=...)` sets parameters, starts and goals.
             ValueError: If a list or tuple has another length.
             InputError: If its values differ: the environments are rows of one, and the attribute exists once.
         """
@@ -383,7 +386,8 @@ class HFrameTrackVectorEnv(HFrameVectorEnv):
 
     Args:
         num_envs: Number of environments.
-        **options: Keywords of `HFrameVectorEnv`. `task` is "track" by default; another must have `metrics` "track".
+        **options: Keywords of `HFrameVectorEnv`. `task` is "track" by default; another must have `metrics`
+            "track".
 
     Raises:
         InputError: If the task has no path, or an option is invalid.

@@ -26,13 +26,13 @@ from ..machine import Effect, EffectParameter, Machine
 # N/m: both motors at full voltage compress it by 1.2 mm; the cart oscillates on it below 2 kHz.
 BUFFER_STIFFNESS = 2e5
 BUFFER_DAMPING = 1.5  # s/m: an impact at 0.5 m/s rebounds with less than half its speed
-# The integrator keeps a force constant over a step h, so that a buffer could throw a light carriage of mass m back
-# faster than it came. These limits of stiffness * h^2 / m and of the slope of the force by the speed * h / m,
-# dimensionless, prevent it; the integrator diverges at 12 and 2. The built-in machines do not reach them with the
-# default step.
+# The integrator keeps a force constant over a step h, so that a buffer could throw a light carriage of mass m
+# back faster than it came. These limits of stiffness * h^2 / m and of the slope of the force by the speed * h
+# / m, dimensionless, prevent it; the integrator diverges at 12 and 2. The built-in machines do not reach them
+# with the default step.
 STIFFNESS_LIMIT, DAMPING_LIMIT = 0.5, 1.5
-# The second limit applies to m minus this fraction of h^2 times the stiffness of the belts, but at least to a tenth of
-# m. Carriages of which the belts take more oscillate too fast for the step, also without buffers.
+# The second limit applies to m minus this fraction of h^2 times the stiffness of the belts, but at least to a
+# tenth of m. Carriages of which the belts take more oscillate too fast for the step, also without buffers.
 BELT_FRACTION, SMALLEST_FRACTION = 0.25, 0.1
 # Part of the workspace at either end that recordings may have left out without a warning.
 UNMEASURED_FRACTION = 0.1
@@ -42,16 +42,17 @@ LARGEST_DEPTH = 1e3  # m, more than any machine's workspace
 def effect_and_belt_limits(machine: Machine, smallest_fraction: float) -> dict[str, tuple[float, float]]:
     """Compute the limits (smallest, largest), SI, of the parameters of effects and the lengths of belts.
 
-    Effects declare the bounds of their parameters. The unstretched length of a belt depends on the position; its value
-    at position 0 is the parameter `rest_length`. The lower limit of this parameter is so large that the unstretched
-    length is at least `smallest_fraction` (dimensionless) times the machine's present `rest_length` everywhere in the
-    workspace.
+    Effects declare the bounds of their parameters. The unstretched length of a belt depends on the position;
+    its value at position 0 is the parameter `rest_length`. The lower limit of this parameter is so large that
+    the unstretched length is at least `smallest_fraction` (dimensionless) times the machine's present
+    `rest_length` everywhere in the workspace.
     """
     bounds = {
         f"{e.label}.{p.name}": (p.lower, p.upper) for e in machine.effects for p in e.definition.parameters
     }
     for belt in machine.belts:
-        # The unstretched length is rest_length plus the sum of factor * belt travel, smallest at the end of a range.
+        # The unstretched length is rest_length plus the sum of factor * belt travel, smallest at the end of a
+        # range.
         coordinates = [(machine.coordinate(name), factor) for name, factor in belt.length.items()]
         changes = [[f * c.travel_per_unit * end for end in c.range or (0.0, 0.0)] for c, f in coordinates]
         smallest = smallest_fraction * belt.rest_length - sum(map(min, changes))
@@ -67,8 +68,8 @@ def workspace_of(machine: Machine) -> Workspace:
     """Return the workspace of the tool: the ranges of its axes (`Machine.axis_ranges`).
 
     Raises:
-        InputError: If the machine has no tool axes, a linear axis has no range, or there are not as many drives as
-            axes.
+        InputError: If the machine has no tool axes, a linear axis has no range, or there are not as many
+            drives as axes.
     """
     axes = machine.tool_axes
     if not axes:
@@ -100,7 +101,7 @@ def workspace_of(machine: Machine) -> Workspace:
 
 
 def unmeasured_workspace(machine: Machine) -> str | None:
-    """Return a warning if the workspace reaches beyond the positions over which a table of the machine was identified.
+    """Return a warning if the workspace reaches beyond the positions at which a table was identified.
 
     Nothing is known there: a table is constant beyond its ends, wherever the force really goes.
 
@@ -124,13 +125,13 @@ def unmeasured_workspace(machine: Machine) -> str | None:
 
 
 def outside_workspace(positions: NDArray[np.floating[Any]], workspace: NDArray[Any]) -> NDArray[np.bool_]:
-    """Test which `positions`, m or rad, shape (n, axes), lie outside the `workspace`; its edge counts as inside."""
+    """Test which `positions`, m or rad, shape (n, axes), lie outside the `workspace`; its edge is inside."""
     beyond = (positions < workspace[:, 0]) | (positions > workspace[:, 1])
     return np.asarray(beyond.any(axis=1))
 
 
 def _buffer_force(q, v, t, low, high, stiffness, damping, damped):  # type: ignore[no-untyped-def]
-    """Return f = -k d max(0, 1 + c v sign d min(1, damped/|d|)), N, with the depth d beyond [low, high], m."""
+    """Return f = -k d max(0, 1 + c v sign d min(1, damped/|d|)), N, with depth d beyond [low, high], m."""
     depth = maximum(q - high, 0.0) - maximum(low - q, 0.0)
     slope = damping * (damped / maximum(absolute(depth), damped))
     return -stiffness * depth * maximum(1.0 + slope * copysign(1.0, depth) * v, 0.0)
@@ -160,23 +161,25 @@ END_STOP = Effect(
 
 
 class EndStops:
-    """Rubber buffers at both ends of every tool axis, for machines with the same structure and different masses.
+    """Rubber buffers at both ends of every tool axis, for machines of one structure and different masses.
 
-    A buffer touches the tool at the end of the axis' declared range. Beyond it by d, m, at the speed v, m/s (positive
-    outward), the tool is pushed back with k d (1 + c v), N, never pulled; stiffness k = 2e5 N/m, damping c = 1.5 s/m.
-    The force is larger in compression than in release, so that an impact loses energy (Hunt and Crossley 1975 with
-    exponent 1). Buffers of a carriage that is too light for the step are softer: k is smaller, and beyond a depth c
-    decreases as 1/d. An arm on a rotary axis has such a buffer 0.1 m (`ARM`) from the axis.
+    A buffer touches the tool at the end of the axis' declared range. Beyond it by d, m, at the speed v, m/s
+    (positive outward), the tool is pushed back with k d (1 + c v), N, never pulled; stiffness k = 2e5 N/m,
+    damping c = 1.5 s/m. The force is larger in compression than in release, so that an impact loses energy
+    (Hunt and Crossley 1975 with exponent 1). Buffers of a carriage that is too light for the step are softer:
+    k is smaller, and beyond a depth c decreases as 1/d. An arm on a rotary axis has such a buffer 0.1 m
+    (`ARM`) from the axis.
 
     Args:
         step: Step of the integrator with which the machines are simulated, s.
 
     Attributes:
-        machine: Copy of the machine with one more effect `end_stop` per axis, whose parameters follow the parameters of
-            the machine.
+        machine: Copy of the machine with one more effect `end_stop` per axis, whose parameters follow the
+            parameters of the machine.
 
     Raises:
-        InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool axis.
+        InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool
+            axis.
     """
 
     def __init__(self, machine: Machine, step: float) -> None:
@@ -209,8 +212,8 @@ class EndStops:
         """Append the parameters of the end stops to those of k machines, SI, shape (k, parameters).
 
         Args:
-            values: Parameters of the machines, SI, shape (k, N). The first columns are the parameters of the machine
-                without end stops, in their order; further columns are ignored.
+            values: Parameters of the machines, SI, shape (k, N). The first columns are the parameters of the
+                machine without end stops, in their order; further columns are ignored.
         """
         result = np.empty((len(values), self._count + len(self._stops)))
         result[:, : self._count] = values[:, : self._count]
@@ -231,10 +234,11 @@ def _soften_buffers(
     largest: float,
     damping: float,
 ) -> None:
-    """Set stiffness and damped depth of the end stops, whose parameters begin at column first, for a step in s.
+    """Set stiffness and damped depth of the end stops, with parameters from column first, for a step in s.
 
-    parameters (k, n), changed here; columns of the masses in them and factors by which they are multiplied (axes,);
-    belts (axes,): stiffness of the belts, N/m or Nm/rad; largest stiffness and damping of the buffers.
+    parameters (k, n), changed here; columns of the masses in them and factors by which they are multiplied
+    (axes,); belts (axes,): stiffness of the belts, N/m or Nm/rad; largest stiffness and damping of the
+    buffers.
     """
     for b in range(parameters.shape[0]):
         for axis in range(columns.shape[0]):
@@ -247,10 +251,10 @@ def _soften_buffers(
 
 
 def product_in_tool_position(machine: Machine, name: str) -> tuple[int, int]:
-    """Return the indices of two coordinates whose product the tool position along an axis contains; -1, -1 if none.
+    """Return the indices of two coordinates whose product is in the tool position of an axis, or -1, -1.
 
-    The tool position along x is usually the coordinate x. If the bridge can yaw, it is x + yaw * y: the result for "x"
-    is then (index of yaw, index of y).
+    The tool position along x is usually the coordinate x. If the bridge can yaw, it is x + yaw * y: the
+    result for "x" is then (index of yaw, index of y).
     """
     for sensor in [sensor for sensor in machine.sensors if sensor.of_position]:
         for key, factor in sensor.row.items():
@@ -263,11 +267,12 @@ def product_in_tool_position(machine: Machine, name: str) -> tuple[int, int]:
 def tool_terms(machine: Machine) -> NDArray[np.intp]:
     """Find the coordinates from which the tool position along each axis is computed.
 
-    With the coordinates q, the position along an axis is usually q[i]. It is q[i] + q[j] q[k] where a product is added:
-    with a bridge that can yaw, the tool is at x + yaw * y along x.
+    With the coordinates q, the position along an axis is usually q[i]. It is q[i] + q[j] q[k] where a product
+    is added: with a bridge that can yaw, the tool is at x + yaw * y along x.
 
     Returns:
-        Indices i, j and k of each axis in `machine.coordinate_names`, shape (axes, 3); j = k = -1 without product.
+        Indices i, j and k of each axis in `machine.coordinate_names`, shape (axes, 3); j = k = -1 without
+        product.
     """
     return np.array(
         [

@@ -1,4 +1,4 @@
-"""Evaluation of controllers on identical episodes: scenarios, protocols, scores with intervals, plots, data sets."""
+"""Evaluation of controllers on identical episodes: scenarios, protocols, scores, plots, data sets."""
 
 from .controller_creation import CONTROLLER_SOURCES, ControllerFiles, ControllerSource, make_controller
 from .episodes import Episodes

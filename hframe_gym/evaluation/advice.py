@@ -115,7 +115,7 @@ def next_steps(
 
 
 def worst_move(episodes: Episodes) -> str:
-    """Describe the worst episode of a controller: "from (-80, 12) mm to (40, 0) mm"; of a path, its number."""
+    """Describe a controller's worst episode: "from (-80, 12) mm to (40, 0) mm"; its number for a path."""
     episode = int(ranked_episodes(episodes)[-1])
     if episodes.contour is not None:
         return f"episode {episode + 1}"
@@ -126,7 +126,7 @@ def worst_move(episodes: Episodes) -> str:
 
 
 def _evaluation(scores: Mapping[str, Any], names: Sequence[str], machine: str, **changes: Any) -> str:
-    """Return the command that evaluates controllers as before but for some options; "" if no command does so."""
+    """Return the command that evaluates controllers as before but for some options; "" if none does."""
     if str(scores["randomize"]) not in RANDOMIZATION_PRESETS or str(scores["sensors"]) not in SENSOR_PRESETS:
         return ""
     path = re.search(r"path='([^']*)'", str(scores["task"]))

@@ -55,7 +55,7 @@ class ControllerSource(ABC):
     @staticmethod
     @abstractmethod
     def make(name: str, scenario: Scenario) -> Controller | None:
-        """Create the controller that this source provides under a name, for example a path; None if it has none."""
+        """Create the controller that this source has under a name, such as a path; None if it has none."""
 
     @staticmethod
     @abstractmethod
@@ -87,26 +87,30 @@ def make_controller(
 ) -> Controller:
     """Create a controller by its name, or of a policy of your own.
 
-    Controllers are designed from the machine's nominal parameters. If the environment observes sensors, a controller
-    whose class attribute `feedback` is "estimated_state" (such as `pid`) is combined with a `StateEstimator`.
+    Controllers are designed from the machine's nominal parameters. If the environment observes sensors, a
+    controller whose class attribute `feedback` is "estimated_state" (such as `pid`) is combined with a
+    `StateEstimator`.
 
     Args:
-        name: A registered name (`pid`, `adaptive-pid`, `textbook-pid`), `module:name` of one that a module registers,
-            or a name that a registered `ControllerSource` accepts: a shipped agent or the folder of an agent. Or a
-            policy: a function of observations as the environment, which must be given, returns them for n machines,
-            that returns their actions, shape (n, drives); one with a memory has a method `reset(mask)`.
-        machine: Machine, built-in name or machine.json; or a `Scenario`, or an environment of this package (single,
-            vector or `HFrameVecEnv`, also in wrappers), which replace all further arguments. For an environment, the
-            controller reads observations as the environment returns them, whatever `normalize` and `flat` are.
-        task: Task (name or object) for which the controller is needed; selects among the agents in the package.
-        sensors: What the controller observes: "state" (true full state), "rig" (encoders and lasers), or a sensor
-            suite.
+        name: A registered name (`pid`, `adaptive-pid`, `textbook-pid`), `module:name` of one that a module
+            registers, or a name that a registered `ControllerSource` accepts: a shipped agent or the folder
+            of an agent. Or a policy: a function of observations as the environment, which must be given,
+            returns them for n machines, that returns their actions, shape (n, drives); one with a memory has
+            a method `reset(mask)`.
+        machine: Machine, built-in name or machine.json; or a `Scenario`, or an environment of this package
+            (single, vector or `HFrameVecEnv`, also in wrappers), which replace all further arguments. For an
+            environment, the controller reads observations as the environment returns them, whatever
+            `normalize` and `flat` are.
+        task: Task (name or object) for which the controller is needed; selects among the agents in the
+            package.
+        sensors: What the controller observes: "state" (true full state), "rig" (encoders and lasers), or a
+            sensor suite.
         period: Control period, s.
 
     Raises:
-        InputError: If the name is unknown, or the controller cannot run on this machine or from these sensors. Also if
-            a wrapper changes the observations or actions of the environment, or its task previews goals at other times
-            than the ends of the next control periods.
+        InputError: If the name is unknown, or the controller cannot run on this machine or from these
+            sensors. Also if a wrapper changes the observations or actions of the environment, or its task
+            previews goals at other times than the ends of the next control periods.
     """
     batch = _observed_batch(machine)
     if batch is not None:
@@ -158,7 +162,7 @@ def make_controller(
 
 
 def _observed_batch(environment: Any) -> EnvironmentBatch | None:
-    """Return the batch of an environment, None for another object; raise InputError if a wrapper changes its spaces."""
+    """Return an environment's batch, None for other objects; raise InputError if a wrapper changes spaces."""
     if isinstance(environment, str | Path | Machine | Scenario) or not hasattr(environment, "unwrapped"):
         return None
     batch, wrapper = batch_of(environment), environment

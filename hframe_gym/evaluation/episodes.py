@@ -15,7 +15,8 @@ class Command(NamedTuple):
     """What the drives of a machine are commanded by in a simulation.
 
     Attributes:
-        name: The quantity, such as "current"; "voltage" also for a duty cycle, which is a voltage in simulations.
+        name: The quantity, such as "current"; "voltage" also for a duty cycle, which is a voltage in
+            simulations.
         unit: Its unit; empty if those of the drives differ.
     """
 
@@ -49,11 +50,12 @@ class Episodes:
         time_s: Sample times, s, shape (n,).
         position: True tool position, m, shape (B, n, axes).
         goal: Goal, m, shape (B, n, axes).
-        contour: Distance of the tool to the path (contour error), m, shape (B, n); None for a task without a path.
+        contour: Distance of the tool to the path (contour error), m, shape (B, n); None for a task without a
+            path.
         volts: Applied voltages, V, or other commands in the unit of `command`, shape (B, m, drives).
         rated: Rated voltages, V, or largest other commands, shape (drives,).
-        energy_J: Energy from the supply minus energy fed back, J, shape (B,); None if drives take other commands than
-            voltages, whose energy the simulation does not know.
+        energy_J: Energy from the supply minus energy fed back, J, shape (B,); None if drives take other
+            commands than voltages, whose energy the simulation does not know.
         peak_belt_force_N: Largest difference between a belt's tension and its pretension, N, shape (B,).
         unit: Unit of the tool position.
         command: What the drives are commanded by.

@@ -1,6 +1,7 @@
 """Metrics of recorded episodes, with confidence intervals over the episodes.
 
-A metric set is a function with the signature `MetricSet` in `METRICS`; a task names its set by an attribute `metrics`.
+A metric set is a function with the signature `MetricSet` in `METRICS`; a task names its set by an attribute
+`metrics`.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ class MetricSet(Protocol):
         """Compute the metrics of B recorded episodes, by name, as data that JSON can hold.
 
         Args:
-            bound_s: Shortest possible settling time of each episode, s, shape (B,), NaN where unknown, or None for all.
+            bound_s: Shortest possible settling time of each episode, s, shape (B,), NaN where unknown, or
+                None for all.
             seed: Seed of the bootstrap resampling.
         """
 
@@ -44,16 +46,20 @@ def score_episodes(
     Args:
         bound_s: Shortest possible settling times, s, shape (B,), NaN where unknown; None if unknown for all.
         seed: Seed of the bootstrap resampling that gives confidence intervals.
-        metrics: "reach" (fixed goal), "track" (path) or another registered set. Default: "track" if there is a path.
+        metrics: "reach" (fixed goal), "track" (path) or another registered set. Default: "track" if there is
+            a path.
 
     Returns:
-        The metrics of the set (see `reach_metrics` and `track_metrics`) and four scores, by name. Each score has two
-        entries: `mean` over the episodes and `ci95`, [lower, upper limit] of its 95 % confidence interval. The scores:
+        The metrics of the set (see `reach_metrics` and `track_metrics`) and four scores, by name. Each score
+        has two entries: `mean` over the episodes and `ci95`, [lower, upper limit] of its 95 % confidence
+        interval. The scores:
 
         - `energy_J`: electrical energy drawn minus energy fed back, J; only for drives of voltages.
-        - `voltage_variation`: sum over drives and periods of the absolute voltage change, from 0 V at the start, V.
+        - `voltage_variation`: sum over drives and periods of the absolute voltage change, from 0 V at the
+          start, V.
         - `saturation_share`: fraction of drives and control periods at rated voltage, 0 to 1.
-        - `peak_belt_force_N`: largest absolute difference between the tension of a belt and its pretension, N.
+        - `peak_belt_force_N`: largest absolute difference between the tension of a belt and its pretension,
+          N.
 
     Raises:
         InputError: If no metric set has this name.
@@ -75,23 +81,26 @@ def score_episodes(
 def reach_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[str, Any]:
     """Compute the metrics of moves to a fixed goal: success, settling time, overshoot, and error at the end.
 
-    An episode settles within 1, 0.2 or 0.05 mm if the tool stays within this distance of the goal until the end. The
-    bands of rotary axes are 10, 2 and 0.5 mrad, and names have mrad for mm.
+    An episode settles within 1, 0.2 or 0.05 mm if the tool stays within this distance of the goal until the
+    end. The bands of rotary axes are 10, 2 and 0.5 mrad, and names have mrad for mm.
 
     Args:
-        bound_s: Shortest possible settling times within 0.2 mm, s, shape (B,), NaN where unknown; None for all unknown.
+        bound_s: Shortest possible settling times within 0.2 mm, s, shape (B,), NaN where unknown; None for
+            all unknown.
         seed: Seed of the bootstrap resampling that gives confidence intervals.
 
     Returns:
         `success`: fraction of episodes that settle, 0 to 1, by distance ("1mm", "0.2mm", "0.05mm").
-        `settling_s`: settling times by distance, s: `mean`, `median`, `p95` (95 % quantile) and `ci95`, the 95 %
-        confidence interval of the mean. An episode that does not settle counts with its length.
-        `over_bound`: ratio of the settling times (within 0.2 mm) to their bounds (`ratio_to_bound`); None without them.
-        `overshoot_mm`: distance by which the tool passes the goal on the line from start to goal, mm, and
-        `final_error_mm`: distance to the goal at the end, mm; `mean` and `ci95` over the episodes each.
+        `settling_s`: settling times by distance, s: `mean`, `median`, `p95` (95 % quantile) and `ci95`, the
+        95 % confidence interval of the mean. An episode that does not settle counts with its length.
+        `over_bound`: ratio of the settling times (within 0.2 mm) to their bounds (`ratio_to_bound`); None
+        without them. `overshoot_mm`: distance by which the tool passes the goal on the line from start to
+        goal, mm, and `final_error_mm`: distance to the goal at the end, mm; `mean` and `ci95` over the
+        episodes each.
 
     Raises:
-        ValueError: If `bound_s` has another length, or holds a time that is neither NaN nor positive and finite.
+        ValueError: If `bound_s` has another length, or holds a time that is neither NaN nor positive and
+            finite.
     """
     error = episodes.goal_error
     unit = episodes.unit
@@ -119,7 +128,8 @@ def reach_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[
 def track_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[str, Any]:
     """Compute the metrics of motion along a path: contour error, tracking error, delay and success.
 
-    The contour error is the distance of the tool to the path, the tracking error its distance to the moving goal.
+    The contour error is the distance of the tool to the path, the tracking error its distance to the moving
+    goal.
 
     Args:
         episodes: Recorded episodes of a task with a path.
@@ -127,10 +137,10 @@ def track_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[
         seed: Seed of the bootstrap resampling that gives confidence intervals.
 
     Returns:
-        `success`: for each of the limits 1, 0.2 and 0.05 mm the fraction, 0 to 1, of episodes whose contour error never
-        exceeds it.
-        `contour_mm`, `tracking_mm`: `rms` and `max` of the error in an episode, mm. `delay_ms`: delay of the tool, ms.
-        Each has the `mean` over the episodes and `ci95`, its 95 % confidence interval. Rotary axes have mrad for mm.
+        `success`: for each of the limits 1, 0.2 and 0.05 mm the fraction, 0 to 1, of episodes whose contour
+        error never exceeds it. `contour_mm`, `tracking_mm`: `rms` and `max` of the error in an episode, mm.
+        `delay_ms`: delay of the tool, ms. Each has the `mean` over the episodes and `ci95`, its 95 %
+        confidence interval. Rotary axes have mrad for mm.
 
     Raises:
         ValueError: If the episodes have no path.
@@ -162,8 +172,8 @@ def settling_times(error: Array, time_s: Array, band: float) -> tuple[Array, NDA
         band: Settling band: largest distance to the goal, m.
 
     Returns:
-        times: Settling times from the first sample, s, shape (B,); the episode's duration if it does not settle.
-        success: True for episodes that end within the band, shape (B,).
+        times: Settling times from the first sample, s, shape (B,); the episode's duration if it does not
+        settle. success: True for episodes that end within the band, shape (B,).
     """
     outside = error > band
     # Index of the first sample after the last one outside the band, (B,); n if the episode ends outside.
@@ -175,8 +185,8 @@ def settling_times(error: Array, time_s: Array, band: float) -> tuple[Array, NDA
 def ranked_episodes(episodes: Episodes) -> NDArray[np.intp]:
     """Return the indices of B episodes from the best to the worst, shape (B,).
 
-    Moves to a goal are ordered by their settling time within 0.2 mm, those that do not settle by the error at the end;
-    motion along a path by the root mean square of the contour error.
+    Moves to a goal are ordered by their settling time within 0.2 mm, those that do not settle by the error at
+    the end; motion along a path by the root mean square of the contour error.
     """
     if episodes.contour is not None:
         return np.argsort(np.mean(episodes.contour**2, axis=1), kind="stable")
@@ -185,7 +195,7 @@ def ranked_episodes(episodes: Episodes) -> NDArray[np.intp]:
 
 
 def overshoot(position: Array, goal: Array) -> Array:
-    """Compute the largest distance by which the tool passes its goal, along the line from start to goal, m, shape (B,).
+    """Compute how far the tool passes its goal at most, along the line from start to goal, m, shape (B,).
 
     If start and goal coincide, it is the largest distance from them.
 
@@ -204,7 +214,8 @@ def overshoot(position: Array, goal: Array) -> Array:
 def tracking_delay(episodes: Episodes) -> Array:
     """Compute the mean delay of the tool behind its moving goal, s, shape (B,); 0 for a goal at rest.
 
-    The delay T minimizes the sum over the samples of |g - T g' - p|^2: goal g, its velocity g', tool position p.
+    The delay T minimizes the sum over the samples of |g - T g' - p|^2: goal g, its velocity g', tool position
+    p.
     """
     velocity = np.gradient(episodes.goal, episodes.time_s, axis=1)
     # The least-squares solution: T = sum (g - p) g' / sum |g'|^2.
@@ -240,13 +251,14 @@ def ratio_to_bound(times: Array, bound_s: Array, seed: int) -> dict[str, Any] | 
         seed: Seed of the bootstrap resampling.
 
     Returns:
-        None if no bound is known; else a dictionary with the key "0.2mm" (distance within which bounds settle) and:
-        `mean`, `ci95`: mean of the ratios time / bound over the episodes, and its 95 % confidence interval.
-        `ratio_of_means`: `mean` and `ci95` of mean time / mean bound, which weights episodes by their bounds.
-        `episodes`: number of episodes with a bound.
+        None if no bound is known; else a dictionary with the key "0.2mm" (distance within which bounds
+        settle) and: `mean`, `ci95`: mean of the ratios time / bound over the episodes, and its 95 %
+        confidence interval. `ratio_of_means`: `mean` and `ci95` of mean time / mean bound, which weights
+        episodes by their bounds. `episodes`: number of episodes with a bound.
 
     Raises:
-        ValueError: If `bound_s` has another length, or holds a time that is neither NaN nor positive and finite.
+        ValueError: If `bound_s` has another length, or holds a time that is neither NaN nor positive and
+            finite.
     """
     bound = np.asarray(bound_s, np.float64)
     with_bound = ~np.isnan(bound)
@@ -264,10 +276,11 @@ def ratio_to_bound(times: Array, bound_s: Array, seed: int) -> dict[str, Any] | 
 
 
 def ratio_of_means(times: Array, bound: Array, seed: int) -> dict[str, Any]:
-    """Compute `mean` and `ci95` of the ratio of the mean settling time to the mean time-optimal bound, dimensionless.
+    """Compute `mean` and `ci95` of the ratio of mean settling time to mean time-optimal bound, dimensionless.
 
     Args:
-        times: Settling times in B episodes, s, shape (B,), or of S agents, (S, B); the bootstrap resamples both.
+        times: Settling times in B episodes, s, shape (B,), or of S agents, (S, B); the bootstrap resamples
+            both.
         bound: Shortest possible settling times of the same B episodes, s, shape (B,), all known.
         seed: Seed of the bootstrap resampling.
     """

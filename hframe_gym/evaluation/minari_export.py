@@ -1,7 +1,8 @@
 """Export of episodes to Minari data sets, for offline reinforcement learning and imitation.
 
-All episodes of a chunk run in one native vector environment. Environment i of a vector equals the single environment of
-the same seed to the bit, so the environment that Minari recovers from a data set repeats every episode exactly.
+All episodes of a chunk run in one native vector environment. Environment i of a vector equals the single
+environment of the same seed to the bit, so the environment that Minari recovers from a data set repeats every
+episode exactly.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ MACHINE_FILE = "machine.json"
 
 
 class RandomActions(Controller):
-    """Uniformly random actions, by which offline data sets are compared; a reset begins the same sequence again."""
+    """Uniformly random actions, to compare offline data sets; a reset begins the same sequence again."""
 
     feedback: ClassVar[Literal["observation"]] = "observation"
     knowledge: ClassVar[str] = "nothing"
@@ -106,27 +107,30 @@ def export_dataset(
     """Simulate the episodes of a scenario with one controller and write them as a Minari data set.
 
     The id of the data set is MACHINE/TASK/CONTROLLER-v0. Minari finds it if the environment variable
-    `MINARI_DATASETS_PATH` names the folder `out`. Observations, rewards and infos are those of `HFrame-v0` with the
-    scenario's options (`HFrameTrack-v0` for a task with a path); actions are the applied fractions of the rated
-    voltages, float32. The metadata of each episode contain its seed. The metadata of the data set contain the
-    controller, the machine with all parameters, the options of the environment and the version of this package.
+    `MINARI_DATASETS_PATH` names the folder `out`. Observations, rewards and infos are those of `HFrame-v0`
+    with the scenario's options (`HFrameTrack-v0` for a task with a path); actions are the applied fractions
+    of the rated voltages, float32. The metadata of each episode contain its seed. The metadata of the data
+    set contain the controller, the machine with all parameters, the options of the environment and the
+    version of this package.
 
     Args:
-        name: Name of a registered controller, such as "pid", `module:name` of one, folder of a trained agent, or
-            "random" for uniformly random actions.
-        scenario: Machine, task, randomization, sensors, drives, number of episodes, seed, period and duration.
+        name: Name of a registered controller, such as "pid", `module:name` of one, folder of a trained agent,
+            or "random" for uniformly random actions.
+        scenario: Machine, task, randomization, sensors, drives, number of episodes, seed, period and
+            duration.
         out: Folder for data sets; created if it does not exist.
-        normalize: Whether observations and goals are stored as (value - center) / scale, about -1 to 1: positions over
-            their range, velocities over the no-load speed. The controller always receives SI units.
+        normalize: Whether observations and goals are stored as (value - center) / scale, about -1 to 1:
+            positions over their range, velocities over the no-load speed. The controller always receives SI
+            units.
         flat: Whether a stored observation is one array instead of a dict of arrays.
         author: Author in the metadata. Default: none.
-        reference: Whether the metadata have reference scores for `minari.get_normalized_score`: the mean returns of
-            random actions (0) and of the controller "predictive" (1) in 64 other episodes.
+        reference: Whether the metadata have reference scores for `minari.get_normalized_score`: the mean
+            returns of random actions (0) and of the controller "predictive" (1) in 64 other episodes.
 
     Raises:
-        InputError: If the controller is unknown or cannot run in this scenario, an option of the scenario is not the
-            name of a preset, the control period is not 0.01 s in a task with a path, the simulated motion diverges, or
-            the data set exists already.
+        InputError: If the controller is unknown or cannot run in this scenario, an option of the scenario is
+            not the name of a preset, the control period is not 0.01 s in a task with a path, the simulated
+            motion diverges, or the data set exists already.
         ImportError: If the extra `minari` is not installed; the message names the pip command.
     """
     storage_class, buffer_class = _import_minari()
@@ -152,7 +156,8 @@ def export_dataset(
             "ref_max_score": scores[1],
             "num_episodes_average_score": REFERENCE_EPISODES,
         }
-    # Minari writes files by path: in the system's temporary folder (TMPDIR), so that a kill leaves nothing in `out`.
+    # Minari writes files by path: in the system's temporary folder (TMPDIR), so that a kill leaves nothing in
+    # `out`.
     with output_batch(out), scratch_folder() as temporary:
         if spec.kwargs["machine"] == str(folder / MACHINE_FILE):
             save_machine(scenario.declared_machine, folder / MACHINE_FILE)
@@ -238,7 +243,7 @@ def _vector_env(spec: EnvSpec, scenario: Scenario, count: int) -> HFrameVectorEn
 
 
 def _record(controller: Controller, envs: HFrameVectorEnv, seed: int, buffer_class: Any) -> list[Any]:
-    """Simulate one episode per environment, with the seeds seed, seed + 1, ..., and return Minari's buffers."""
+    """Simulate one episode per environment, seeds seed, seed + 1, ..., and return Minari's buffers."""
     observation, info = envs.reset(seed=seed)
     controller.reset()
     observations, infos, steps, over = [observation], [_without_masks(info)], [], False
@@ -299,7 +304,7 @@ def _row(arrays: Any, b: int) -> Any:
 def _metadata(
     dataset_id: str, name: str, controller: Controller, scenario: Scenario, author: str | None
 ) -> dict[str, Any]:
-    """Return the metadata of a data set as plain data: Minari's fields, then those of this package below "hframe"."""
+    """Return a data set's metadata as plain data: Minari's fields, then this package's below "hframe"."""
     machine = scenario.declared_machine
     card = getattr(controller, "card", None)  # of a trained agent
     metadata: dict[str, Any] = {

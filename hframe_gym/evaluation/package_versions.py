@@ -13,7 +13,7 @@ PACKAGES = ("hframe_gym", "numpy", "scipy", "numba", "torch", "stable-baselines3
 
 
 def result_versions(further: Iterable[str] = ()) -> dict[str, str]:
-    """List the versions of Python, of the packages on which all results depend and of `further` ones, by name.
+    """List the versions of Python, of packages on which all results depend and of `further` ones, by name.
 
     Packages that are not installed are omitted.
     """
@@ -23,7 +23,8 @@ def result_versions(further: Iterable[str] = ()) -> dict[str, str]:
 def installed_versions(packages: Iterable[str]) -> dict[str, str]:
     """List the versions of packages by name; those that are not installed are omitted.
 
-    Of this package it is that of the code that runs: an editable installation keeps the number of the day it was made.
+    Of this package it is that of the code that runs: an editable installation keeps the number of the day it
+    was made.
     """
     versions = {}
     for package in packages:

@@ -1,4 +1,4 @@
-"""Drive a stage by mouse or keys in a window, with a controller on the same task beside it (extra `render`)."""
+"""Drive a stage by mouse or keys in a window, with a controller on its task beside it (extra `render`)."""
 
 from __future__ import annotations
 
@@ -100,8 +100,8 @@ class PlayedStage:
 
         Args:
             seed: Seed of start, goal and machine parameters.
-            target: Target along the axes, m or rad, approached from the present position. Default: start and goal of
-                the task.
+            target: Target along the axes, m or rad, approached from the present position. Default: start and
+                goal of the task.
 
         Raises:
             InputError: If a target is given for a task without one, or it is outside the workspace.
@@ -116,7 +116,7 @@ class PlayedStage:
         self._note(info)
 
     def step(self, action: Array) -> None:
-        """Simulate a control period; a user's `action` is fractions of the rated voltages, shape (drives,)."""
+        """Simulate a control period; a user's `action` is fractions of rated voltages, shape (drives,)."""
         if self.controller:
             batch = {key: value[None] for key, value in self.observation.items()}
             action = np.asarray(self.controller.act(batch), np.float64)[0]
@@ -135,7 +135,7 @@ class PlayedStage:
         self._trail.append(tool_point(self.env.batch, 0))
 
     def draw(self) -> Any:
-        """Draw this stage from above on a Pygame surface of 880 x 660 pixels, which the next call overwrites."""
+        """Draw this stage from above on a Pygame surface of 880 x 660 pixels, which each call overwrites."""
         self.view.draw(Scene.of(self.env.batch, 0, self._trail))
         return self.view.surface
 
@@ -145,7 +145,8 @@ class Game:
 
     Args:
         controller: Name of a controller that drives the first stage in place of the user. Default: the user.
-        beside: Name of a controller that drives a second stage, same start, goal and parameters. Default: none.
+        beside: Name of a controller that drives a second stage, same start, goal and parameters. Default:
+            none.
         speed: Speed of the simulation relative to real time, positive.
 
     Attributes:
@@ -155,8 +156,8 @@ class Game:
 
     Raises:
         ImportError: If pygame is missing; the message names the extra.
-        InputError: If the machine has no axes with as many drives, a controller is unknown, the speed is not positive,
-            or there is no display.
+        InputError: If the machine has no axes with as many drives, a controller is unknown, the speed is not
+            positive, or there is no display.
     """
 
     def __init__(
@@ -192,8 +193,8 @@ class Game:
         """Begin a new episode on all stages, with the same goal and machine parameters.
 
         Args:
-            target: Target along the axes, m or rad, which every stage approaches from its present position. Default:
-                goal and common start of the task.
+            target: Target along the axes, m or rad, which every stage approaches from its present position.
+                Default: goal and common start of the task.
 
         Raises:
             InputError: If a target is given for a task without one, or it is outside the workspace.
@@ -203,7 +204,7 @@ class Game:
         self._due = 0.0
 
     def handle(self, event: Any) -> None:
-        """React to a pygame event: keys and mouse set voltages or targets, and restart, pause or end the game."""
+        """React to a pygame event: keys and mouse set voltages or targets, restart, pause or end the game."""
         pygame = self._pygame
         if event.type == pygame.QUIT:
             self.done = True
@@ -240,16 +241,16 @@ class Game:
         return position_of_point(self._model.machine.axis_unit, point, self.stages[0].position)
 
     def _set_target(self, point: tuple[float, ...]) -> None:
-        """Begin an episode with a target; it is ignored for a task without a target and outside the workspace."""
+        """Begin an episode with a target, ignored for a task without a target and outside the workspace."""
         with suppress(InputError):
             self.reset(point)
 
     @property
     def action(self) -> Array:
-        """Voltages that the user applies with keys and mouse, as fractions of the rated voltages, shape (drives,).
+        """Voltages that the user gives by keys and mouse, as fractions of the rated ones, shape (drives,).
 
-        They push the tool in the direction of the arrow keys or, while the left button is held, toward the pointer;
-        zeros without either.
+        They push the tool in the direction of the arrow keys or, while the left button is held, toward the
+        pointer; zeros without either.
         """
         pygame, keys = self._pygame, self._keys
         if self._pointer is not None:
@@ -267,7 +268,7 @@ class Game:
         return np.asarray(min(size, 1.0) * fractions / np.abs(fractions).max())
 
     def advance(self) -> None:
-        """Simulate all stages for 20 ms * `speed`, one frame of the window; do nothing while the game is paused."""
+        """Simulate all stages for 20 ms * `speed`, one frame of the window; do nothing during a pause."""
         if self.paused:
             return
         self._due += self._periods_per_frame

@@ -21,9 +21,10 @@ SMALLEST_ERROR_MM = 1e-3  # mm or mrad, lower end of the logarithmic error axis 
 
 
 def plot_episode(episodes: Episodes, episode: int = 0, *, title: str = "") -> Any:
-    """Plot one episode in three panels: tool path, distance to the goal (and to the path) over time, and commands.
+    """Plot an episode in 3 panels: tool path, distance to the goal (and to the path) over time, and commands.
 
-    The first panel shows the position over time if the machine has one axis. The result is a figure of matplotlib.
+    The first panel shows the position over time if the machine has one axis. The result is a figure of
+    matplotlib.
 
     Raises:
         ImportError: If matplotlib is not installed; the message names the extra.
@@ -93,7 +94,7 @@ def _plot_error(axes: Any, episodes: Episodes, episode: int) -> None:
 
 
 def _mark_bands(axes: Any, unit: AxisUnit) -> None:
-    """Draw the settling bands as horizontal lines that are named beside the plot, and label the axis in mm."""
+    """Draw the settling bands as horizontal lines named beside the plot, and label the axis in mm."""
     for name, text in unit.band_texts.items():
         height = 1e3 * unit.bands[name]
         axes.axhline(height, color=color("muted"), lw=0.7, ls="--")
@@ -124,7 +125,7 @@ def _point(position: NDArray[np.float64]) -> str:
 
 
 def episode_panels(name: str, episodes: Episodes, episode: int) -> list[Panel]:
-    """Describe the plots of an episode for the scorecard, with captions: tool path, distance over time, commands."""
+    """Describe an episode's plots for the scorecard, captioned: tool path, distance over time, commands."""
     start, goal = 1e3 * episodes.position[episode, 0], 1e3 * episodes.goal[episode, -1]
     final_mm = 1e3 * float(episodes.goal_error[episode, -1])
     small = episodes.unit.small
@@ -155,7 +156,7 @@ def episode_panels(name: str, episodes: Episodes, episode: int) -> list[Panel]:
 
 
 def distance_panel(recorded: Mapping[str, Episodes]) -> Panel:
-    """Describe a plot for the scorecard: distances to the goal in the first episode, mm, one curve per controller."""
+    """Describe a plot for the scorecard: distances to goal in the first episode, mm, by controller."""
     unit = next(iter(recorded.values())).unit
 
     def draw(axes: Any) -> None:
@@ -174,10 +175,10 @@ def distance_panel(recorded: Mapping[str, Episodes]) -> Panel:
 
 
 def distribution_panel(recorded: Mapping[str, Episodes]) -> Panel:
-    """Describe a plot for the scorecard: distribution of the settling times, or of the contour errors of a path.
+    """Describe a plot for the scorecard: distribution of the settling times, or of a path's contour errors.
 
-    A curve shows the fraction of the episodes that have settled until a time, or whose error is at most a value. It
-    ends below 100 % if some episodes do not settle.
+    A curve shows the fraction of the episodes that have settled until a time, or whose error is at most a
+    value. It ends below 100 % if some episodes do not settle.
     """
     first = next(iter(recorded.values()))
     path, unit = first.contour is not None, first.unit
@@ -210,13 +211,13 @@ def distribution_panel(recorded: Mapping[str, Episodes]) -> Panel:
 
 
 def interval_panel(title: str, unit: str, scores: Mapping[str, Mapping[str, Any] | None]) -> Panel:
-    """Describe a plot for the scorecard: mean of one metric for each controller, with 95 % confidence intervals.
+    """Describe a plot for the scorecard: mean of a metric by controller, with 95 % confidence intervals.
 
     Args:
         title: Caption, the name of the metric.
         unit: Unit of the values; empty for a ratio.
-        scores: By name of the controller, `mean` and `ci95` (lower and upper limit), in `unit`; None if the controller
-            has no value.
+        scores: By name of the controller, `mean` and `ci95` (lower and upper limit), in `unit`; None if the
+            controller has no value.
     """
     known = {name: score for name, score in scores.items() if score}
 
@@ -243,7 +244,7 @@ def interval_panel(title: str, unit: str, scores: Mapping[str, Mapping[str, Any]
 
 
 def success_panel(title: str, success: Mapping[str, Mapping[str, float]]) -> Panel:
-    """Describe a bar chart for the scorecard: fraction of successful episodes by controller and settling band."""
+    """Describe a bar chart for the scorecard: part of successful episodes by controller and settling band."""
     texts = unit_of_scores(next(iter(success.values()))).band_texts
     bands = list(texts)
 

@@ -16,7 +16,7 @@ def task_name(scores: Mapping[str, Any]) -> str:
 
 
 def unit_of_scores(names: Iterable[str]) -> AxisUnit:
-    """Find the unit of the tool position from the names of settling bands in scores, such as "2mrad"; default m."""
+    """Find the tool position's unit from the names of bands in scores, such as "2mrad"; default m."""
     endings = tuple(names)
     found = [u for u in AXIS_UNITS.values() if any(name.endswith(u.bound_band) for name in endings)]
     return found[0] if found else METERS
@@ -25,7 +25,8 @@ def unit_of_scores(names: Iterable[str]) -> AxisUnit:
 def settling_or_none(success: float, settling: Any) -> Any:
     """Return scores of settling times, in their unit, or None if no episode settles.
 
-    An episode that does not settle counts with its length. If none settles, the scores say nothing but this length.
+    An episode that does not settle counts with its length. If none settles, the scores say nothing but this
+    length.
 
     Args:
         success: Fraction of the episodes that settle, 0 to 1.
@@ -35,7 +36,7 @@ def settling_or_none(success: float, settling: Any) -> Any:
 
 
 def settling_in(score: Mapping[str, Any], band: str) -> Mapping[str, Any] | None:
-    """Return the settling times of a controller in a band, s: mean, interval and so on; None if no episode settles."""
+    """Return a controller's settling times in a band, s: mean, interval etc.; None if no episode settles."""
     times: Mapping[str, Any] | None = settling_or_none(score["success"][band], score["settling_s"][band])
     return times
 
@@ -51,6 +52,6 @@ def ratio_to_bounds(score: Mapping[str, Any]) -> Mapping[str, Any] | None:
 
 
 def unknown_bound_reasons(scores: Mapping[str, Any]) -> list[str]:
-    """List each reason why the time-optimal bound is missing in the scores (scores.json), once and in their order."""
+    """List each reason why the time-optimal bound is missing in scores (scores.json), once, in order."""
     reasons = (score.get("over_bound_reason") for score in scores["controllers"].values())
     return list(dict.fromkeys(reason for reason in reasons if reason))

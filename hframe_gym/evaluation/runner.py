@@ -1,7 +1,7 @@
 """Evaluation of controllers: simulate the episodes of a scenario, score them, and write the scores.
 
-The environment runs at ten times the control rate with the action held over a control period, so that settling times
-are resolved to a tenth of a control period.
+The environment runs at ten times the control rate with the action held over a control period, so that
+settling times are resolved to a tenth of a control period.
 """
 
 from __future__ import annotations
@@ -39,8 +39,9 @@ class Evaluation(NamedTuple):
     """Scores and recorded episodes of the controllers compared by `evaluate`.
 
     Attributes:
-        scores: Contents of scores.json: the scenario (`schema`, `machine`, `task`, `randomize`, `episodes`, `seed`,
-            `sensors`, `drives`, `period_s`) and `controllers`: results of `score_episodes` by name of the controller.
+        scores: Contents of scores.json: the scenario (`schema`, `machine`, `task`, `randomize`, `episodes`,
+            `seed`, `sensors`, `drives`, `period_s`) and `controllers`: results of `score_episodes` by name of
+            the controller.
         episodes: Recorded episodes by name of the controller.
     """
 
@@ -66,19 +67,23 @@ def evaluate(
         Metrics: hframe_gym/evaluation/metrics.py; bounds: docs/bound.md.
 
     Args:
-        controllers: Names of controllers (such as "pid"), agents or folders; or controllers or their names by the
-            names in results. `make_controller(policy, env)` makes a controller of a function of observations.
-        machine: Machine, built-in name or machine.json; or a `Scenario`, which replaces all further arguments.
+        controllers: Names of controllers (such as "pid"), agents or folders; or controllers or their names by
+            the names in results. `make_controller(policy, env)` makes a controller of a function of
+            observations.
+        machine: Machine, built-in name or machine.json; or a `Scenario`, which replaces all further
+            arguments.
         task: "reach", "track", the name of another registered task, or a task object.
         randomize: Preset name or list of randomization rules for the machine's parameters.
-        sensors: What controllers observe: "state" (true full state), "rig" (encoders and lasers), or a sensor suite.
+        sensors: What controllers observe: "state" (true full state), "rig" (encoders and lasers), or a sensor
+            suite.
         seed: Seed of the first episode; episode b has seed + b.
         period: Control period, s.
         duration_s: Length of an episode, s.
 
     Raises:
-        InputError: If an option or a controller's name is wrong or missing, a controller cannot run in this scenario,
-            the simulated motion diverges, or the episodes would have more than 2e8 samples (10 per control period).
+        InputError: If an option or a controller's name is wrong or missing, a controller cannot run in this
+            scenario, the simulated motion diverges, or the episodes would have more than 2e8 samples (10 per
+            control period).
     """
     options = (task, randomize, sensors, episodes, seed, period, duration_s)
     scenario = machine if isinstance(machine, Scenario) else Scenario(machine, *options)
@@ -150,8 +155,9 @@ def _describe(scenario: Scenario) -> dict[str, Any]:
 def rollout(controller: Controller, scenario: Scenario) -> Episodes:
     """Simulate all episodes of a scenario with one controller, all at the same time, and record them.
 
-    Energy and force are computed from motion and voltages by the laws of Ohm and Hooke, without effects on currents and
-    tensions. `Episodes` states the shape of each array; there are 10 samples per control period, and one more.
+    Energy and force are computed from motion and voltages by the laws of Ohm and Hooke, without effects on
+    currents and tensions. `Episodes` states the shape of each array; there are 10 samples per control period,
+    and one more.
     """
     if isinstance(controller, EnvironmentController):  # the recorded environments observe keys in SI units
         controller = controller.controller
@@ -225,13 +231,13 @@ class _Loads:
         self._equations = Equations(machine.replace(effects=()), machine.with_tied(values))
 
     def largest_tension(self, travel: Array) -> Array:
-        """Return the largest difference (B,) of tension and pretension, N, over samples of the travel (k, B, n), m."""
+        """Return largest differences (B,) of tension and pretension, N, over the travel (k, B, n), m."""
         belts = self._equations.belt_states(_points(travel, np.zeros_like(travel)))
         tensions = np.abs([np.zeros(travel.shape[:2]), *(belt.tension for belt in belts)])  # (belts, k, B)
         return np.asarray(tensions.max(axis=(0, 1)))
 
     def energy(self, travel: Array, volts: Array, sample_s: float) -> Array:
-        """Return the energy (B,) that the drives draw, J, over samples of the travel (k, B, n), with volts (B, d)."""
+        """Return the energy (B,) that the drives draw, J, over travel (k, B, n), with volts (B, d)."""
         # The current is linear in the speed, whose mean is distance over time.
         mean = _points(travel[1:], np.diff(travel, axis=0) / sample_s)
         energy = np.zeros(len(volts))
@@ -248,7 +254,7 @@ def _points(travel: Array, speed: Array) -> MotionPoint:
 
 
 def write_scores(folder: str | Path, scores: Mapping[str, Any]) -> Path:
-    """Write `Evaluation.scores` to scores.json in a folder, and return the path; on failure an existing file stays."""
+    """Write `Evaluation.scores` to scores.json in a folder; return the path. A failure keeps an old file."""
     path = Path(folder) / "scores.json"
     write_text(path, json.dumps(scores, indent=2, allow_nan=False) + "\n")
     return path
@@ -271,7 +277,7 @@ def file_labels(controllers: Iterable[str]) -> list[str]:
 
 
 def write_motions(path: str | Path, episodes: Episodes, machine: Machine, count: int) -> None:
-    """Write the motion of the first episodes of a controller as a table; the file appears complete or not at all."""
+    """Write the motion of the first episodes of a controller as a table, complete or not at all."""
     axes, unit = machine.tool_axes, machine.axis_unit.name
     names = [f"{axis}_{unit}" for axis in axes] + [f"{axis}_goal_{unit}" for axis in axes]
     names += machine.input_channels

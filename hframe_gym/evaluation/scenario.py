@@ -33,24 +33,26 @@ LONGEST_EPISODE = 3600.0  # s
 class Scenario:
     """Conditions under which controllers are compared.
 
-    Episode b is the environment's episode of seed + b, whatever the controller: all controllers face the same starts,
-    goals and machine parameters.
+    Episode b is the environment's episode of seed + b, whatever the controller: all controllers face the same
+    starts, goals and machine parameters.
 
     Attributes:
         machine: Machine, preset name or path of a machine.json; `randomize` varies its parameters.
         task: "reach", "track", the name of another registered task, or a task object.
-        randomize: Preset name ("none", "default", ...) or list of randomization rules for the machine's parameters.
-        sensors: What controllers observe: "state" (true full state), "rig" (encoders and lasers), or a sensor suite.
-            Scores always use the true position of the tool.
+        randomize: Preset name ("none", "default", ...) or list of randomization rules for the machine's
+            parameters.
+        sensors: What controllers observe: "state" (true full state), "rig" (encoders and lasers), or a sensor
+            suite. Scores always use the true position of the tool.
         episodes: Number of episodes, B.
         seed: Seed of the first episode.
         period: Control period, s.
         duration_s: Length of an episode, s; the default is twice the longest move.
-        drives: What applies the voltages: "ideal", "rig" (12-bit converters, 12 A), "machine", or `Actuators(...)`.
+        drives: What applies the voltages: "ideal", "rig" (12-bit converters, 12 A), "machine", or
+            `Actuators(...)`.
 
     Raises:
-        InputError: If the period, the number of episodes or the duration is not positive, the seed is negative, or an
-            episode is shorter than one control period.
+        InputError: If the period, the number of episodes or the duration is not positive, the seed is
+            negative, or an episode is shorter than one control period.
     """
 
     machine: MachineLike = "hframe"
@@ -82,7 +84,7 @@ class Scenario:
 
     @cached_property
     def declared_machine(self) -> Machine:
-        """Machine with its nominal parameters, before randomization; loaded at first use if given by name or path."""
+        """Machine with its nominal parameters, before randomization; a name or path is loaded when used."""
         return as_machine(self.machine)
 
     @property
@@ -92,7 +94,7 @@ class Scenario:
 
     @property
     def metrics(self) -> str:
-        """Name of the task's metric set, a function registered in `METRICS` of metrics.py, for example "reach"."""
+        """Name of the task's metric set, a function registered in `METRICS` of metrics.py, e.g. "reach"."""
         return as_task(self.task).metrics
 
     @property
@@ -109,7 +111,7 @@ class Scenario:
 
 
 class EpisodeConditions(NamedTuple):
-    """Machine parameters, starts and goals of the B episodes of a scenario; they do not depend on the controller.
+    """Machine parameters, starts and goals of the B episodes of a scenario, equal for all controllers.
 
     Attributes:
         parameters: Sampled values of the P parameters in the order of `Machine.parameters`, SI, shape (B, P).
@@ -124,9 +126,10 @@ class EpisodeConditions(NamedTuple):
 
 
 def environments_of(scenario: Scenario, **options: Unpack[EnvOptions]) -> HFrameVectorEnv:
-    """Build the environments of a scenario, one per episode, without a limit on the number of steps, not reset yet.
+    """Build the environments of a scenario, one per episode, without a limit of steps, not reset yet.
 
-    The further options are those of the environments. By default they observe the state, with a period of 10 ms.
+    The further options are those of the environments. By default they observe the state, with a period of
+    10 ms.
     """
     common = EnvOptions(machine=scenario.machine, task=scenario.controller_task, randomize=scenario.randomize)
     return HFrameVectorEnv(
@@ -135,7 +138,7 @@ def environments_of(scenario: Scenario, **options: Unpack[EnvOptions]) -> HFrame
 
 
 def episode_conditions(scenario: Scenario) -> EpisodeConditions:
-    """Sample the machine parameters, starts and goals of a scenario's episodes, without simulating any motion.
+    """Sample machine parameters, starts and goals of a scenario's episodes, without simulating any motion.
 
     The `EpisodeConditions` state the shape of each.
     """

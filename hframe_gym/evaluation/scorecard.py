@@ -40,7 +40,7 @@ def write_scorecard(
     warnings: Sequence[str] = (),
     machine: str | None = None,
 ) -> Path:
-    """Write scorecard.html: verdict, assumptions, scores with 95 % intervals, episodes, next steps; return its path.
+    """Write scorecard.html: verdict, assumptions, scores, intervals, episodes, next steps; return its path.
 
     Args:
         recorded: Recorded episodes by name of the controller, for the plots of episodes. Default: no plots.
@@ -87,7 +87,7 @@ def write_scorecard(
 
 
 class _Verdict(NamedTuple):
-    """Which controller is the best (None: none succeeds), in sentences, and which one is not significantly worse."""
+    """Which controller is best (None: none succeeds), in sentences, and which is not significantly worse."""
 
     best: str | None
     tone: str
@@ -135,7 +135,7 @@ def _reach_verdict(scores: Mapping[str, Any], recorded: Mapping[str, Episodes], 
 
 
 def _difference(best: Episodes, second: Episodes, seed: int) -> dict[str, Any]:
-    """Return by how much the second best controller settles later in the same episodes, s, with its interval."""
+    """Return how much the second best controller settles later in the same episodes, s, and its interval."""
     times = [settling_times(e.goal_error, e.time_s, e.unit.bound_size)[0] for e in (second, best)]
     return mean_with_interval(times[0] - times[1], seed)
 
@@ -146,7 +146,7 @@ def _includes_zero(difference: Mapping[str, Any]) -> bool:
 
 
 def _difference_sentence(name: str, difference: Mapping[str, Any]) -> str:
-    """Return a sentence about the settling times of the second best controller, compared episode by episode."""
+    """Return a sentence about the settling times of the second best controller, by episode."""
     interval = f"95 % interval {_interval(difference, '.3f')} s"
     if _includes_zero(difference):
         return (

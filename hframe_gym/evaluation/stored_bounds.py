@@ -20,8 +20,8 @@ class StoredBounds(NamedTuple):
     """Time-optimal bounds of B episodes, from the file of bounds in the package.
 
     Attributes:
-        times_s: Shortest possible time to settle within 0.2 mm of the goal in each episode, s, shape (B,), NaN where
-            unknown; None if unknown for all.
+        times_s: Shortest possible time to settle within 0.2 mm of the goal in each episode, s, shape (B,),
+            NaN where unknown; None if unknown for all.
         reason: Why some or all episodes have no bound; None if all have one.
     """
 
@@ -30,10 +30,10 @@ class StoredBounds(NamedTuple):
 
 
 def condition_digests(conditions: EpisodeConditions) -> list[str]:
-    """Compute a hash of the machine, start and goal of each episode, by which stored settling times are looked up.
+    """Compute a hash of each episode's machine, start and goal, by which stored settling times are looked up.
 
-    Before hashing (the first 16 hexadecimal digits of SHA-256), numbers are rounded to nine significant digits. Seed,
-    control period and sensors are not hashed.
+    Before hashing (the first 16 hexadecimal digits of SHA-256), numbers are rounded to nine significant
+    digits. Seed, control period and sensors are not hashed.
     """
     machine = conditions.machine
     coordinates = [(c.name, c.kind) for c in machine.coordinates]
@@ -47,7 +47,7 @@ def condition_digests(conditions: EpisodeConditions) -> list[str]:
 
 @cache
 def _bounds_by_digest() -> dict[str, float]:
-    """Return the stored settling times to 0.2 mm, s, by digest; `python -m benchmarks.bound` computes them."""
+    """Return the stored settling times to 0.2 mm, s, by digest; from `python -m benchmarks.bound`."""
     content = json.loads((resources.files("hframe_gym.evaluation") / BOUNDS_FILE).read_text("utf-8"))
     return {row["draw"]: row["time_s"] for row in content["draws"] if row["time_s"] is not None}
 

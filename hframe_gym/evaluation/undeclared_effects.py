@@ -1,18 +1,19 @@
-"""Effects that act on the simulated machine and that no controller's model declares, sampled anew for every episode.
+"""Effects that act on the simulated machine and that no controller's model declares, sampled per episode.
 
-An effect is a modeled deviation from the basic machine, such as cogging; its site is where it acts, such as motor1. The
-simulated machine has every effect of `EFFECT_FAMILIES` at every site listed there. At first each is *off*: its
-parameters are such that it has no influence, for example an amplitude of zero or a limit that nothing reaches.
-Randomization rules then switch a few of them *on*. An effect is on with probability `EXPECTED_EFFECTS` / (number of
-families * number of its sites), independently of the others, so that a family is on with the same probability as any
-other, and an episode has two effects on average (13 % of the episodes have none). The size of an effect that is on is
-log-uniform from `SMALLEST_SIZE` to 1 times its full size, which is what a used machine may plausibly have. Further
-parameters (wavelengths, phases) have the distributions of the table.
+An effect is a modeled deviation from the basic machine, such as cogging; its site is where it acts, such as
+motor1. The simulated machine has every effect of `EFFECT_FAMILIES` at every site listed there. At first each
+is *off*: its parameters are such that it has no influence, for example an amplitude of zero or a limit that
+nothing reaches. Randomization rules then switch a few of them *on*. An effect is on with probability
+`EXPECTED_EFFECTS` / (number of families * number of its sites), independently of the others, so that a family
+is on with the same probability as any other, and an episode has two effects on average (13 % of the episodes
+have none). The size of an effect that is on is log-uniform from `SMALLEST_SIZE` to 1 times its full size,
+which is what a used machine may plausibly have. Further parameters (wavelengths, phases) have the
+distributions of the table.
 
 Left out are effects that change the machine's structure (`bridge_yaw`, `idler_inertia`, `frame_resonance`,
-`payload_swing`, `gear_backlash`), those that replace its friction law (`presliding`, `bouc_wen_hysteresis`), and those
-of the sensors' scale, skew, range and periodic errors, because they move the measured goal: no controller could then
-reach the true one.
+`payload_swing`, `gear_backlash`), those that replace its friction law (`presliding`, `bouc_wen_hysteresis`),
+and those of the sensors' scale, skew, range and periodic errors, because they move the measured goal: no
+controller could then reach the true one.
 """
 
 from __future__ import annotations
@@ -38,14 +39,15 @@ NO_SLACK_N = 1e5  # N, a pretension that no belt force reaches
 @DISTRIBUTIONS.register("sometimes")
 @dataclass(frozen=True)
 class Sometimes(Distribution):
-    """Distribution of a number that is log-uniform on [low, high] with a given probability, otherwise a constant.
+    """Distribution of a number, log-uniform on [low, high] with a probability, otherwise a constant.
 
     Args:
         probability: Probability of the log-uniform number, above 0 and at most 1.
         low: Lower end of the log-uniform distribution, positive.
         high: Its upper end, finite, not below `low`.
         otherwise: The constant, at most `low` or at least `high`.
-        signed: Whether the log-uniform number gets a negative sign with probability 1/2; `otherwise` must then be 0.
+        signed: Whether the log-uniform number gets a negative sign with probability 1/2; `otherwise` must
+            then be 0.
 
     Raises:
         InputError: If an argument is invalid.
@@ -70,8 +72,8 @@ class Sometimes(Distribution):
     def quantile(self, u: Array) -> Array:
         """Compute quantiles of the mixture, in ascending order.
 
-        The constant comes after the log-uniform numbers if it is at least `high`, before them otherwise; with `signed`,
-        between the negative and the positive ones.
+        The constant comes after the log-uniform numbers if it is at least `high`, before them otherwise; with
+        `signed`, between the negative and the positive ones.
         """
         size = LogUniform(self.low, self.high)
         below = self.probability if self.otherwise >= self.high else 0.5 * self.probability * self.signed
@@ -169,11 +171,12 @@ EFFECT_FAMILIES: tuple[EffectFamily, ...] = (
 
 
 def with_absent_effects(machine: Machine) -> Machine:
-    """Add the effects of `EFFECT_FAMILIES` (friction, drives, belts, ...) to a copy of the H-frame, all switched off.
+    """Add the effects of `EFFECT_FAMILIES` (friction, drives, belts, ...) to the H-frame, all switched off.
 
-    An effect that is switched off has parameter values with which it has no influence, for example an amplitude of 0.
-    Randomization rules (`effect_rules`) can change these values and thus switch it on. One effect is never off:
-    `current_limit` limits the motor currents, here to 12 A. The machine must not have the effects.
+    An effect that is switched off has parameter values with which it has no influence, for example an
+    amplitude of 0. Randomization rules (`effect_rules`) can change these values and thus switch it on. One
+    effect is never off: `current_limit` limits the motor currents, here to 12 A. The machine must not have
+    the effects.
     """
     effects = []
     for family in EFFECT_FAMILIES:
@@ -191,9 +194,9 @@ def with_absent_effects(machine: Machine) -> Machine:
 def effect_rules() -> tuple[RandomizeParameter, ...]:
     """Return the randomization rules that switch on effects at random in every episode, two on average.
 
-    The rules are for a machine that `with_absent_effects` returned. For each effect on each of its components, there is
-    one rule for its size, which leaves it off in most episodes (`Sometimes`), and one for each other parameter that
-    varies, such as a phase or a period.
+    The rules are for a machine that `with_absent_effects` returned. For each effect on each of its
+    components, there is one rule for its size, which leaves it off in most episodes (`Sometimes`), and one
+    for each other parameter that varies, such as a phase or a period.
     """
     rules = []
     for family in EFFECT_FAMILIES:

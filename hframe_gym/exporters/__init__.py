@@ -1,7 +1,8 @@
-"""Exporters: a machine, a controller or an agent in the files of other tools; one exporter per file of this folder.
+"""Exporters: a machine, a controller or an agent in the files of other tools; one exporter per file here.
 
 base      interface, registry, options, provenance and text for generated files
-source/   formulas of a machine, traced from the equations of motion, and the languages in which they are written
+source/   formulas of a machine, traced from the equations of motion, and the languages in which they are
+          written
 models/   linear models and modes, input shapers of printers, bodies of MuJoCo
 
 All other modules are exporters: each registers one kind of `hframe export KIND`.

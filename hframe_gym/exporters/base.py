@@ -1,4 +1,4 @@
-"""Interface and registry of exporters, provenance of exported files, and writing them together or not at all."""
+"""Interface and registry of exporters, provenance of files, and writing them together or not at all."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def option(
 
 
 def argument(text: str) -> Any:
-    """Declare a field of an exporter that `hframe export` takes as an argument without an option name; see `option`."""
+    """Declare an exporter's field that `hframe export` takes as an argument without option; see `option`."""
     return dataclasses.field(metadata={HELP: text, ARGUMENT: True, CLI_TYPE: None, RANGE: None})
 
 
@@ -55,8 +55,9 @@ def argument(text: str) -> Any:
 class Exporter(ABC):
     """One kind of export, with its options as fields.
 
-    A subclass is a frozen dataclass in a file of this folder. It registers itself with `@EXPORTERS.register("kind")`;
-    `hframe export kind` then exists, with one option per field (`option`, `argument`). The docstring is its help page.
+    A subclass is a frozen dataclass in a file of this folder. It registers itself with
+    `@EXPORTERS.register("kind")`; `hframe export kind` then exists, with one option per field (`option`,
+    `argument`). The docstring is its help page.
     """
 
     @property
@@ -93,7 +94,7 @@ class MachineExporter(Exporter):
         """Compute the contents of the files by name; an InputError if they cannot describe the machine."""
 
     def loaded(self) -> Machine:
-        """Return the machine of the field `machine`; an InputError if there is none, or its file is faulty."""
+        """Return the machine of the field `machine`; an InputError if it is missing or its file is faulty."""
         return self.machine if isinstance(self.machine, Machine) else load_machine(self.machine)
 
     @override
@@ -101,8 +102,8 @@ class MachineExporter(Exporter):
         """Write the files of the export.
 
         Args:
-            out: Folder for all files. If the files are `separable`, also a file: it gets the content of the one with
-                the same suffix, and no other is written.
+            out: Folder for all files. If the files are `separable`, also a file: it gets the content of the
+                one with the same suffix, and no other is written.
             log: Called with a line "wrote PATH" for each file.
 
         Raises:
@@ -137,7 +138,7 @@ class MachineExporter(Exporter):
         }
 
     def header(self, machine: Machine, *more: str) -> list[str]:
-        """Write the first lines of a text file: provenance, then further statements, without comment signs."""
+        """Write first lines of a text file: provenance, then further statements, without comment signs."""
         about = self.provenance(machine)
         options = ", ".join(f"{name} = {value}" for name, value in about["options"].items())
         lines = [
@@ -188,7 +189,7 @@ def plain(text: str) -> str:
 
 
 def xml_comment(lines: Sequence[str]) -> str:
-    """Write lines as a comment of XML, which must not contain two hyphens in a row, with a line break at its end."""
+    """Write lines as a comment of XML, which must not contain "--", with a line break at its end."""
     return "<!--\n" + "".join(f"  {line}\n".replace("--", "- -") for line in lines) + "-->\n"
 
 
@@ -240,8 +241,8 @@ def operating_point(machine: Machine, at: Sequence[str] | None) -> NDArray[np.fl
     """Convert the option --at to the positions of all coordinates, with unstretched belts.
 
     Args:
-        at: Items "AXIS=POSITION" of linear coordinates, m, or, on a machine without any, of the tool's axes, rad; the
-            others are at 0. None: none.
+        at: Items "AXIS=POSITION" of linear coordinates, m, or, on a machine without any, of the tool's axes,
+            rad; the others are at 0. None: none.
 
     Returns:
         Position of every coordinate, m or rad, shape (coordinates,).

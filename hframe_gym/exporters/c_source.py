@@ -26,21 +26,21 @@ from .source.motion_formulas import MotionFormulas, Vectors, check_prefix, motio
 
 VECTORS, SEED = 200, 0
 TOLERANCE = 1e-9  # relative; the same operations in another order differ by some 1e-15
-# Errors are relative to the expected value, but at least to this fraction of the largest one: a small voltage may be
-# the difference of two large ones.
+# Errors are relative to the expected value, but at least to this fraction of the largest one: a small voltage
+# may be the difference of two large ones.
 SMALLEST_SCALE = 1e-3
 
 
 @EXPORTERS.register("c")
 @dataclass(frozen=True, kw_only=True)
 class CExporter(MachineExporter):
-    """Write C99 source for a motion controller: feedforward, friction compensation and a PID step of a machine.
+    """Write C99 source for a motion controller: feedforward, friction compensation and a PID step.
 
-    PREFIX.h and PREFIX.c have the voltages that a motion of the tool needs (inertia, viscous friction and back-EMF, dry
-    friction with its identified effects, forces of effects; gain, offset and dead band of the amplifier are inverted),
-    the part against friction alone, the motor positions with stretched belts, and one step of the textbook PID. They
-    are written from the equations of the simulator. PREFIX_test.c compares them with values that the equations give:
-    cc -std=c99 PREFIX.c PREFIX_test.c -lm && ./a.out
+    PREFIX.h and PREFIX.c have the voltages that a motion of the tool needs (inertia, viscous friction and
+    back-EMF, dry friction with its identified effects, forces of effects; gain, offset and dead band of the
+    amplifier are inverted), the part against friction alone, the motor positions with stretched belts, and
+    one step of the textbook PID. They are written from the equations of the simulator. PREFIX_test.c compares
+    them with values that the equations give: cc -std=c99 PREFIX.c PREFIX_test.c -lm && ./a.out
 
     Example:  hframe export c --machine hframe --period 0.001 --out out/c
     """
@@ -92,7 +92,7 @@ def _source(motion: MotionFormulas, prefix: str) -> str:
 
 def _inverse(prefix: str, j: int, limit: float) -> str:
     """Return the function that inverts an amplifier, `InverseDynamics.command` in C."""
-    return f"""/* Smallest command in magnitude that gives a voltage at motor {j}, V, within the limit of the drive. */
+    return f"""/* Smallest command in magnitude for a voltage at motor {j}, V, within the drive's limit. */
 static double {prefix}_command_{j}(double voltage)
 {{
     double low = 0.0, high = {limit!r};

@@ -20,7 +20,7 @@ from .base import EXPORTERS, Exporter, argument, option
 @EXPORTERS.register("dataset")
 @dataclass(frozen=True, kw_only=True)
 class DatasetExporter(Exporter):
-    """Write episodes of controllers as data sets for offline reinforcement learning (Minari), one per controller.
+    """Write episodes of controllers as offline reinforcement learning data sets (Minari), one per controller.
 
     Example:  hframe export dataset pid ppo --episodes 100 --out out/minari
     """

@@ -1,8 +1,8 @@
 """FMU (functional mock-up unit) of a machine for co-simulation by FMI 3.0, as C source.
 
-`templates/fmi3.c` has the functions of FMI and the integrator; both are the same for all machines. `model.c` has the
-functions that the integrator calls, traced from the equations of motion of the machine. An importer is a program that
-loads the FMU.
+`templates/fmi3.c` has the functions of FMI and the integrator; both are the same for all machines. `model.c`
+has the functions that the integrator calls, traced from the equations of motion of the machine. An importer
+is a program that loads the FMU.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from .source.formula import Formula, Signal, parameters_of, trace_formula
 _FIRST_INPUT, _FIRST_OUTPUT, _FIRST_START = 1, 1001, 2001  # value references
 _UNITS = {"m": 'm="1"', "rad": 'rad="1"', "V": 'kg="1" m="2" s="-3" A="-1"', "s": 's="1"'}
 _DATE = (1980, 1, 1, 0, 0, 0)  # of the files in the archive: equal exports are equal
-# Formulas of effects that the FMU does not have: a delay needs earlier values of a signal, and the angle of an
-# eccentric pulley at rest is not a linear function of the start position.
+# Formulas of effects that the FMU does not have: a delay needs earlier values of a signal, and the angle of
+# an eccentric pulley at rest is not a linear function of the start position.
 _UNSUPPORTED_FORMULAS = ("delay", "measurement_delay", "clock", "rest_angle_offset")
 
 
@@ -39,10 +39,11 @@ _UNSUPPORTED_FORMULAS = ("delay", "measurement_delay", "clock", "rest_angle_offs
 class FmuExporter(MachineExporter):
     """Write a functional mock-up unit (FMI 3.0, co-simulation) of a machine as C source.
 
-    Inputs are the drive voltages, V, held over each communication step; outputs are the sensors without noise, m or
-    rad. The stage starts at rest; the parameters start_x, start_y and so on, one per tool axis, are the start position,
-    m. The FMU has the equations of motion, with the effects of the machine, and the integrator of this package. The
-    importer compiles the source, FMPy for example by `fmpy compile stage.fmu`.
+    Inputs are the drive voltages, V, held over each communication step; outputs are the sensors without
+    noise, m or rad. The stage starts at rest; the parameters start_x, start_y and so on, one per tool axis,
+    are the start position, m. The FMU has the equations of motion, with the effects of the machine, and the
+    integrator of this package. The importer compiles the source, FMPy for example by
+    `fmpy compile stage.fmu`.
 
     Example:  hframe export fmu --machine hframe --out stage.fmu
     """
@@ -151,7 +152,7 @@ class _EffectInput(NamedTuple):
 
 
 def _effect_inputs(machine: Machine) -> list[_EffectInput]:
-    """Return the inputs of all effects that have a state, in the order of the array `effect_input` of model.c."""
+    """Return the inputs of all effects with a state, in the order of the array `effect_input` of model.c."""
     equations = Equations(machine)
     zeros = [0.0] * len(machine.coordinates)
     arguments = equations.balance(MotionPoint(zeros, zeros), [0.0] * len(machine.drives)).arguments
@@ -273,7 +274,7 @@ def _forces_at_corrected_point(
     half_step: Value,
     voltage: Sequence[Value],
 ) -> list[Value]:
-    """Return the forces, the Coulomb friction forces, N, and the effects' inputs in step 2 of `reference_step`."""
+    """Return forces, Coulomb friction forces, N, and the effects' inputs in step 2 of `reference_step`."""
     states = dict(zip(equations.states, effect_state, strict=False))
     travel = [p + dp for p, dp in zip(half_way_travel, correction, strict=True)]
     gained = [6.0 / half_step * dp for dp in correction]

@@ -33,11 +33,11 @@ _DRY_HOOKS = ("coulomb", "friction", "viscous")
 @EXPORTERS.register("friction-map")
 @dataclass(frozen=True, kw_only=True)
 class FrictionMapExporter(MachineExporter):
-    """Write the friction of each coordinate as a table over speed, and over position where effects depend on it.
+    """Write each coordinate's friction as a table over speed, and over position if effects depend on it.
 
-    friction_map.csv has the force (N) or torque (Nm) that a drive needs at constant speed against dry friction, viscous
-    friction and forces of effects, with its standard deviation where the machine was identified. Dry friction is that
-    of steady sliding. Back-EMF is not in it.
+    friction_map.csv has the force (N) or torque (Nm) that a drive needs at constant speed against dry
+    friction, viscous friction and forces of effects, with its standard deviation where the machine was
+    identified. Dry friction is that of steady sliding. Back-EMF is not in it.
 
     Example:  hframe export friction-map --machine axis --out friction.csv
     """
@@ -68,7 +68,7 @@ class FrictionMapExporter(MachineExporter):
         return {"friction_map.csv": commented(header, "#") + "\n".join(lines) + "\n"}
 
     def _rows(self, machine: Machine, i: int, leader: int | None) -> list[str]:
-        """Return the lines of coordinate i over the position of the coordinate `leader`; None: over speed only."""
+        """Return the lines of coordinate i over the position of `leader`; None: over speed only."""
         c = machine.coordinates[i]
         highest = _highest_speed(machine, i)
         positions = np.array([np.nan]) if leader is None else _positions(machine, leader)
@@ -117,7 +117,7 @@ def friction_parts(
 def _against(
     machine: Machine, i: int, speed: Array, leader: int | None, position: Array, time_s: float
 ) -> tuple[Array, Array, Array]:
-    """Return Coulomb friction, viscous friction and other forces against the motion of coordinate i, N or Nm."""
+    """Return Coulomb friction, viscous friction and other forces against coordinate i's motion, N or Nm."""
     # Without the loops of drives that follow a set point, which damp the motion, too.
     open_loop = [dataclasses.replace(d, kind="torque", law_parameters={}) for d in machine.drives if d.law]
     acting = tuple(e for e in machine.effects if not e.definition.set_point)
@@ -167,7 +167,7 @@ def _leaders(machine: Machine, i: int) -> list[int]:
 
 
 def _positions(machine: Machine, leader: int) -> Array:
-    """Return positions over the range of a carriage or a turn of a pulley, dense enough for periodic effects."""
+    """Return positions over a carriage's range or a pulley's turn, dense enough for periodic effects."""
     c = machine.coordinates[leader]
     low, high = axis_range(c)
     points = _POINTS

@@ -48,10 +48,10 @@ class Gain(NamedTuple):
 class GainsExporter(MachineExporter):
     """Write the gains of the controllers textbook-pid and pid for a control period, with their units.
 
-    The textbook PID acts along each axis of the tool. Its gains are given as forces (parallel form), as gain, integral
-    and derivative time (standard form), and in volts for each drive. For `pid` they are the constant state feedback
-    that acts near the goal; far from it, `pid` plans with the saturation of the drives, which no table contains. The
-    files are gains.csv and gains.json.
+    The textbook PID acts along each axis of the tool. Its gains are given as forces (parallel form), as gain,
+    integral and derivative time (standard form), and in volts for each drive. For `pid` they are the constant
+    state feedback that acts near the goal; far from it, `pid` plans with the saturation of the drives, which
+    no table contains. The files are gains.csv and gains.json.
 
     Example:  hframe export gains --machine hframe --period 0.002 --out out/gains
     """

@@ -16,7 +16,8 @@ from .models.input_shapers import InputShaperExporter, Shaper, impulse_table
 class KlipperExporter(InputShaperExporter):
     """Write the section input_shaper of Klipper's printer.cfg, and the impulses of the shapers as a table.
 
-    Frequency and damping ratio are those of the first mode of the carriage along each axis, with the motors held.
+    Frequency and damping ratio are those of the first mode of the carriage along each axis, with the motors
+    held.
 
     Example:  hframe export klipper --machine corexy --out out/klipper
     """

@@ -16,7 +16,8 @@ from .models.input_shapers import InputShaperExporter
 class MarlinExporter(InputShaperExporter):
     """Write Marlin's input shaping settings (its shaper is zv) as G-code and as lines of Configuration_adv.h.
 
-    Frequency and damping ratio are those of the first mode of the carriage along each axis, with the motors held.
+    Frequency and damping ratio are those of the first mode of the carriage along each axis, with the motors
+    held.
 
     Example:  hframe export marlin --machine corexy --out out/marlin
     """

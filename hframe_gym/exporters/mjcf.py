@@ -20,8 +20,8 @@ _STEP_LIMITS = (1e-6, 0.1)  # s
 class MjcfExporter(MachineExporter):
     """Write a MuJoCo model of a stage with voltages as controls and the machine's sensors.
 
-    Belts have the constant stiffness of the operating point, Coulomb friction is MuJoCo's soft constraint, and effects
-    are not modeled; docs/export.md has the deviations from the simulator of this package.
+    Belts have the constant stiffness of the operating point, Coulomb friction is MuJoCo's soft constraint,
+    and effects are not modeled; docs/export.md has the deviations from the simulator of this package.
 
     Example:  hframe export mjcf --machine hframe --out stage.xml
     """

@@ -34,10 +34,10 @@ _MEANINGS = {
 class PolicyExporter(Exporter):
     """Write a trained agent as policy.pt (TorchScript), policy.onnx and policy.json (its inputs and outputs).
 
-    The network includes the scaling of the observations and the conversion of its outputs to voltages, so that nothing
-    else is needed at runtime. An agent that corrects a controller, observes estimated parameters or weights transfers
-    (residual, sac, apg) needs these computations as well and is refused. ONNX needs the package onnx; without it,
-    policy.onnx is left out.
+    The network includes the scaling of the observations and the conversion of its outputs to voltages, so
+    that nothing else is needed at runtime. An agent that corrects a controller, observes estimated parameters
+    or weights transfers (residual, sac, apg) needs these computations as well and is refused. ONNX needs the
+    package onnx; without it, policy.onnx is left out.
 
     Example:  hframe export policy ppo --out out/policy
     """
@@ -54,8 +54,8 @@ class PolicyExporter(Exporter):
         """Convert the agent to the content of each file; the log gets a line that says why a file is missing.
 
         Raises:
-            InputError: If there is no such agent, it is a model of stable-baselines3, or its actions need more than a
-                network.
+            InputError: If there is no such agent, it is a model of stable-baselines3, or its actions need
+                more than a network.
             ImportError: If the extra `agents` is not installed.
         """
         from ..agents import Agent, shipped_agent_folder
@@ -150,7 +150,7 @@ def _torch_script(network: Any, example: tuple[Any, ...]) -> bytes:
 
 
 def _onnx(network: Any, keys: list[str], example: tuple[Any, ...]) -> bytes:
-    """Return the network in the format ONNX, for batches of any size; ImportError without the package onnx."""
+    """Return the network in the format ONNX, for any batch size; ImportError without the package onnx."""
     import importlib
 
     import torch

@@ -19,10 +19,11 @@ from .models.linear_model import LinearModel, Mode, linear_model, modes
 class StateSpaceExporter(MachineExporter):
     """Write the linear model x' = A x + B u, y = C x + D u at an operating point, and its modes with damping.
 
-    The files are state_space.mat (MATLAB, SciPy), state_space.json (its entries A, B, C, D, states, inputs, outputs are
-    arguments of control.ss in python-control), state_space.csv (one labeled table) and modes.csv. States are positions
-    and velocities of all coordinates, SI; inputs are the commands of the drives. Dry friction is left out; delays are
-    stated. A drive that follows a set point is linear about it, and the integral of its loop keeps its value.
+    The files are state_space.mat (MATLAB, SciPy), state_space.json (its entries A, B, C, D, states, inputs,
+    outputs are arguments of control.ss in python-control), state_space.csv (one labeled table) and modes.csv.
+    States are positions and velocities of all coordinates, SI; inputs are the commands of the drives. Dry
+    friction is left out; delays are stated. A drive that follows a set point is linear about it, and the
+    integral of its loop keeps its value.
 
     Example:  hframe export state-space --machine hframe --at x=0.1 --out out/state_space
     """

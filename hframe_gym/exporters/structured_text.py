@@ -65,10 +65,10 @@ class StructuredText(Language):
 @EXPORTERS.register("st")
 @dataclass(frozen=True, kw_only=True)
 class StructuredTextExporter(MachineExporter):
-    """Write Structured Text (IEC 61131-3) for a PLC: feedforward, friction compensation and a PID step of a machine.
+    """Write Structured Text (IEC 61131-3) for a PLC: feedforward, friction compensation and a PID step.
 
-    PREFIX.st has a function block for each function of `hframe export c`, from the same formulas in LREAL. An array
-    counts from 0. The block of the PID keeps its integral; call it once per period.
+    PREFIX.st has a function block for each function of `hframe export c`, from the same formulas in LREAL. An
+    array counts from 0. The block of the PID keeps its integral; call it once per period.
 
     Example:  hframe export st --machine hframe --period 0.001 --out stage.st
     """

@@ -21,8 +21,8 @@ _UNLIMITED_SPEED = 10.0  # m/s, for machines without friction and back-EMF, whos
 class UrdfExporter(MachineExporter):
     """Write a URDF with one prismatic joint per axis of the tool, its masses and its limits.
 
-    The limits are those of the workspace, the steady speed at rated voltage, and the force of all drives at standstill.
-    URDF has no belts: motors and pulleys are not in it, and their inertia is not in the masses.
+    The limits are those of the workspace, the steady speed at rated voltage, and the force of all drives at
+    standstill. URDF has no belts: motors and pulleys are not in it, and their inertia is not in the masses.
 
     Example:  hframe export urdf --machine corexy --out stage.urdf
     """

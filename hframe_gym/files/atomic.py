@@ -1,8 +1,8 @@
 """Write files so that a reader finds either the complete new file or the old one, and one writer per folder.
 
-New files are written in a hidden folder beside the output, the stage, and get their names when they are complete. A
-stage has a lock, which the operating system releases when the process ends for any reason: a stage without a locked
-lock was left by a killed process. Everything here works on Linux, macOS and Windows.
+New files are written in a hidden folder beside the output, the stage, and get their names when they are
+complete. A stage has a lock, which the operating system releases when the process ends for any reason: a
+stage without a locked lock was left by a killed process. Everything here works on Linux, macOS and Windows.
 """
 
 from __future__ import annotations
@@ -36,8 +36,9 @@ _ATTEMPTS = 20  # to make a folder that other processes remove
 class _Stage:
     """Hidden folder with a lock, for files that are not complete or have not got their names yet.
 
-    `new` and `removed` mirror the relative paths of the files that will be written and removed. The file `complete`
-    appears when all of them are on the disk: from then on the changes count, and whoever has the lock finishes them.
+    `new` and `removed` mirror the relative paths of the files that will be written and removed. The file
+    `complete` appears when all of them are on the disk: from then on the changes count, and whoever has the
+    lock finishes them.
     """
 
     def __init__(self, path: Path) -> None:
@@ -92,7 +93,7 @@ class _Stage:
                     path.unlink()
 
     def commit(self, folder: Path) -> None:
-        """Make the changes of a folder together: once `complete` exists, they are made, also if this process ends."""
+        """Make the changes of a folder together: once `complete` exists, even if this process ends."""
         new, removed = _files(self.new), _files(self.removed)
         if not new and not removed:
             return
@@ -137,7 +138,7 @@ _HELD: dict[Path, _Stage] = {}  # stages of the folders that this process has lo
 
 
 def _in_batch(path: Path) -> tuple[_Stage, Path] | None:
-    """Return the stage of the present batch and a file's relative path, if there is a batch and the file is in it."""
+    """Return the present batch's stage and a file's relative path, if there is a batch with the file."""
     batch = _BATCH.get()
     absolute = Path(os.path.abspath(path.parent.resolve() / path.name))
     if batch is None or not absolute.is_relative_to(batch.folder):
@@ -147,21 +148,22 @@ def _in_batch(path: Path) -> tuple[_Stage, Path] | None:
 
 @contextmanager
 def atomic_file(path: str | Path) -> Iterator[io.BufferedRandom]:
-    """Provide a binary file to write to; it replaces the file at `path` when the `with` block ends without an error.
+    """Provide a binary file that replaces the file at `path` when the `with` block ends without an error.
 
-    Until then a reader sees the old file. If another process writes the same file, this one waits for it, so that the
-    last one wins. Inside an `output_batch` of its folder, or of a folder above, the file appears only at the end of the
-    batch.
+    Until then a reader sees the old file. If another process writes the same file, this one waits for it, so
+    that the last one wins. Inside an `output_batch` of its folder, or of a folder above, the file appears
+    only at the end of the batch.
 
     Args:
         path: File to write; its folder is created if it does not exist.
 
     Yields:
-        Empty file, open for writing and reading. If the block raises an error, an existing file at `path` is unchanged.
+        Empty file, open for writing and reading. If the block raises an error, an existing file at `path` is
+        unchanged.
 
     Raises:
-        InputError: If `path` exists and is not a regular file, but a folder or a device, for example; or if Windows
-            cannot replace it because it is open in another program.
+        InputError: If `path` exists and is not a regular file, but a folder or a device, for example; or if
+            Windows cannot replace it because it is open in another program.
         OSError: If the folder cannot be created or written, or the disk is full; the error names `path`.
     """
     target = Path(path)
@@ -172,7 +174,8 @@ def atomic_file(path: str | Path) -> Iterator[io.BufferedRandom]:
         if found is not None:
             stage, final = found[0], _with_parents(found[0].new / found[1])
         else:
-            # Names may have 255 bytes, that of the stage as well; files that share a stage only wait for each other.
+            # Names may have 255 bytes, that of the stage as well; files that share a stage only wait for each
+            # other.
             stage, final = _Stage(_with_parents(target).parent / f"{STAGE}-{target.name[:50]}"), target
             cleanup.enter_context(stage.locked(wait=True))
             stage.discard()  # what a killed process left
@@ -188,15 +191,16 @@ def atomic_file(path: str | Path) -> Iterator[io.BufferedRandom]:
 def write_text(path: str | Path, text: str) -> None:
     """Write a text file in UTF-8; if writing fails, an existing file is unchanged.
 
-    Inside an `output_batch` of its folder, or of a folder above, the file appears only at the end of the batch.
+    Inside an `output_batch` of its folder, or of a folder above, the file appears only at the end of the
+    batch.
 
     Args:
         path: File to write; its folder is created if it does not exist.
         text: Content of the file; line ends are written as they are, on every operating system.
 
     Raises:
-        InputError: If `path` exists and is not a regular file, but a folder or a device, for example; or if Windows
-            cannot replace it because it is open in another program.
+        InputError: If `path` exists and is not a regular file, but a folder or a device, for example; or if
+            Windows cannot replace it because it is open in another program.
         OSError: If the folder cannot be created or written, or the disk is full; the error names `path`.
     """
     with atomic_file(path) as file:
@@ -206,7 +210,8 @@ def write_text(path: str | Path, text: str) -> None:
 def remove_file(path: str | Path) -> None:
     """Remove a file if it exists.
 
-    Inside an `output_batch` of its folder, or of a folder above, the file disappears only at the end of the batch.
+    Inside an `output_batch` of its folder, or of a folder above, the file disappears only at the end of the
+    batch.
     """
     target = Path(path)
     found = _in_batch(target)
@@ -220,13 +225,14 @@ def remove_file(path: str | Path) -> None:
 
 
 def newest(path: str | Path) -> Path:
-    """Return a path from which the current content of a file can be read, also while an `output_batch` writes it.
+    """Return a path from which a file's current content can be read, also while an `output_batch` writes it.
 
-    A file that is written inside an `output_batch` does not appear under its name until the batch ends. Until then its
-    content is in a temporary file.
+    A file that is written inside an `output_batch` does not appear under its name until the batch ends. Until
+    then its content is in a temporary file.
 
     Returns:
-        Path of the temporary file, valid until the batch ends, if the present batch has written the file; else `path`.
+        Path of the temporary file, valid until the batch ends, if the present batch has written the file;
+        else `path`.
     """
     found = _in_batch(Path(path))
     if found is None or not (found[0].new / found[1]).exists():
@@ -238,9 +244,10 @@ def newest(path: str | Path) -> Path:
 def output_batch(folder: str | Path) -> Iterator[Path]:
     """Make the files that the `with` block writes to a folder appear together at its end, or none of them.
 
-    It applies to files in the folder and its subfolders that are written with `atomic_file` or `write_text`, or removed
-    with `remove_file`. The folder is locked until the block ends, so that no other process of this package writes to
-    it. A batch of the same folder or of a subfolder within this block becomes part of this batch.
+    It applies to files in the folder and its subfolders that are written with `atomic_file` or `write_text`,
+    or removed with `remove_file`. The folder is locked until the block ends, so that no other process of this
+    package writes to it. A batch of the same folder or of a subfolder within this block becomes part of this
+    batch.
 
     Args:
         folder: Folder of the files; created if it does not exist.
@@ -249,8 +256,8 @@ def output_batch(folder: str | Path) -> Iterator[Path]:
         The folder.
 
     Raises:
-        InputError: If another process writes to the folder, or Windows cannot replace a file because it is open in
-            another program.
+        InputError: If another process writes to the folder, or Windows cannot replace a file because it is
+            open in another program.
         OSError: If the folder cannot be created or written, or the disk is full.
     """
     if _in_batch(Path(folder)) is not None:
@@ -272,10 +279,10 @@ def output_batch(folder: str | Path) -> Iterator[Path]:
 def locked_folder(folder: str | Path) -> Iterator[Path]:
     """Lock a folder during the `with` block, so that no other process of this package writes to it.
 
-    The folder is created if it does not exist. What killed processes left in it is cleaned up first: complete changes
-    are finished, everything else is removed. The lock also ends if this process is killed. A folder that was created
-    here is removed again if it is still empty at the end. If this process has locked the folder already, the block does
-    nothing.
+    The folder is created if it does not exist. What killed processes left in it is cleaned up first: complete
+    changes are finished, everything else is removed. The lock also ends if this process is killed. A folder
+    that was created here is removed again if it is still empty at the end. If this process has locked the
+    folder already, the block does nothing.
 
     Yields:
         The folder.
@@ -314,9 +321,10 @@ def locked_folder(folder: str | Path) -> Iterator[Path]:
 def complete_commit(folder: str | Path) -> None:
     """Finish the changes of a folder that a killed process had completed but not finished.
 
-    `output_batch` writes the new files of a folder completely before it moves the first one to its name. If it is
-    killed between two moves, the folder holds new files beside old ones. Call this function before you read files of a
-    folder that belong together. While any process has locked the folder, the function does nothing.
+    `output_batch` writes the new files of a folder completely before it moves the first one to its name. If
+    it is killed between two moves, the folder holds new files beside old ones. Call this function before you
+    read files of a folder that belong together. While any process has locked the folder, the function does
+    nothing.
 
     Raises:
         OSError: If there are files to move and the folder cannot be written.
@@ -334,8 +342,8 @@ def complete_commit(folder: str | Path) -> None:
 def scratch_folder() -> Iterator[Path]:
     """Provide an empty temporary folder; it is deleted at the end of the `with` block.
 
-    It is for libraries that can write only to a path. Scratch folders that killed processes of the same user left are
-    deleted at the beginning.
+    It is for libraries that can write only to a path. Scratch folders that killed processes of the same user
+    left are deleted at the beginning.
 
     Yields:
         Empty folder in the system's folder for temporary files.
@@ -351,7 +359,7 @@ def scratch_folder() -> Iterator[Path]:
 
 
 def _remove_stages(folder: Path, prefix: str) -> None:
-    """Remove the stages of killed processes in a folder; those of other users cannot be locked, so they stay."""
+    """Remove the stages of killed processes in a folder; those of others cannot be locked, so they stay."""
     for path in folder.glob(f"{prefix}*"):
         if path.is_symlink() or not path.is_dir():
             continue
@@ -369,7 +377,7 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _move(source: Path, target: Path) -> None:
-    """Give a file another name, at which it replaces a file; moving a file to itself tells whether it can be moved."""
+    """Give a file another name, replacing a file; moving a file to itself tells whether it can be moved."""
     deadline = time.monotonic() + _SCANNER_S
     while True:
         try:
@@ -391,12 +399,12 @@ def _move(source: Path, target: Path) -> None:
 
 
 def _in_use(error: OSError) -> bool:
-    """Return whether Windows refuses something because a file is open: access denied, or sharing violation."""
+    """Return whether Windows refuses something because a file is open: access denied or sharing violation."""
     return getattr(error, "winerror", None) in (5, 32)
 
 
 def _with_parents(path: Path) -> Path:
-    """Create the folder of a file, and the folders above it, where they do not exist; return the path of the file."""
+    """Create a file's folder, and the folders above it, where they do not exist; return the file's path."""
     _make_folder(path.parent)
     return path
 
@@ -412,7 +420,7 @@ def _make_folder(path: Path) -> None:
 
 @contextmanager
 def _naming(path: Path, *, every: bool = False) -> Iterator[None]:
-    """Let errors of the operating system name a path that the user knows instead of a stage (every: or of none)."""
+    """Let the operating system's errors name a path that users know, not a stage (every: or of none)."""
     try:
         yield
     except OSError as error:

@@ -17,11 +17,11 @@ _CACHE_ROOM = 32e6  # bytes that must be free; a kernel takes about 50 kB, Numba
 
 
 def cache_folder() -> Path:
-    """Return the folder in which generated simulation code and its compiled form are cached; create it if missing.
+    """Return the folder in which generated simulation code and its compiled form are kept; create it.
 
-    It is the first of these folders that can be written and has 32 MB of room: `$HFRAME_CACHE` (if set), `hframe_gym`
-    in the user's cache folder, a private folder in the system's temporary folder. If none is usable, it is a new
-    temporary folder. A warning is issued if it is not the first one.
+    It is the first of these folders that can be written and has 32 MB of room: `$HFRAME_CACHE` (if set),
+    `hframe_gym` in the user's cache folder, a private folder in the system's temporary folder. If none is
+    usable, it is a new temporary folder. A warning is issued if it is not the first one.
 
     Returns:
         Existing folder that can be written.
@@ -63,7 +63,7 @@ def _first_usable(preferred: tuple[str, ...], temporary: str) -> Path:
 
 
 def _private(path: Path) -> bool:
-    """Return whether only this user can write a folder in the temporary folder: the code in it is executed."""
+    """Return whether this user alone can write a folder in the temporary folder: its code is executed."""
     if not hasattr(os, "getuid"):
         return True  # each user of Windows has a temporary folder
     details = path.lstat()

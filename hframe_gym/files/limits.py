@@ -1,7 +1,7 @@
 """Readers of JSON, text and .npz files with limits on size, compression ratio and nesting.
 
-The limits keep a damaged or hostile file from filling the memory. Every reader of the package uses these functions.
-Nothing in a file is executed.
+The limits keep a damaged or hostile file from filling the memory. Every reader of the package uses these
+functions. Nothing in a file is executed.
 """
 
 from __future__ import annotations
@@ -22,11 +22,12 @@ from ..errors import InputError
 MAX_DOCUMENT = (
     16 << 20
 )  # bytes of a JSON or TOML file; a machine with the covariance of 500 parameters has 4 MB
-# A compressed table may have this many times the bytes of its file. Times increase from row to row, so that tables of a
-# rig at rest reach about 25; archives that are made to fill the memory reach 1000.
+# A compressed table may have this many times the bytes of its file. Times increase from row to row, so that
+# tables of a rig at rest reach about 25; archives that are made to fill the memory reach 1000.
 MAX_EXPANSION = 100
 FREE_EXPANSION = 64 << 20  # bytes that any compressed file may expand to
-# Characters of a line of a table, as many as are read at once to recognize its format: 3000 columns of 20 characters.
+# Characters of a line of a table, as many as are read at once to recognize its format: 3000 columns of 20
+# characters.
 MAX_LINE = 1 << 16
 MAX_VALUES = 1_000_000_000  # numbers of a table: 8 GB, two hours at 10 kHz with 13 columns
 
@@ -34,14 +35,14 @@ MAX_VALUES = 1_000_000_000  # numbers of a table: 8 GB, two hours at 10 kHz with
 def expansion_limit(path: Path) -> int:
     """Return the largest accepted size, bytes, of the decompressed content of a file.
 
-    A small compressed file can expand to more than the memory holds; such a file is refused. The limit is 100 times the
-    size of the file (`MAX_EXPANSION`), but at least 64 MB (`FREE_EXPANSION`).
+    A small compressed file can expand to more than the memory holds; such a file is refused. The limit is 100
+    times the size of the file (`MAX_EXPANSION`), but at least 64 MB (`FREE_EXPANSION`).
     """
     return max(FREE_EXPANSION, MAX_EXPANSION * path.stat().st_size)
 
 
 def refuse_expansion(path: Path, size: int) -> None:
-    """Raise an InputError if so many bytes of content are more than 64 MB and than 100 times the compressed file."""
+    """Raise an InputError if content is larger than 64 MB and than 100 times the compressed file."""
     if size > expansion_limit(path):
         raise InputError(
             f"{path}: expands to more than {MAX_EXPANSION} times its size and {FREE_EXPANSION >> 20} MB, "
@@ -50,7 +51,7 @@ def refuse_expansion(path: Path, size: int) -> None:
 
 
 def refuse_long_line(path: Path, length: int) -> None:
-    """Raise an InputError if a line of so many characters is too long (`MAX_LINE`) for a row of a table of numbers."""
+    """Raise an InputError if a line of so many characters is too long (`MAX_LINE`) for a row of numbers."""
     if length >= MAX_LINE:
         raise InputError(
             f"{path}: has a line of more than {MAX_LINE - 1} characters; a table has a row for each time. "
@@ -67,7 +68,7 @@ def refuse_many_values(path: Path, rows: int, columns: int) -> None:
 
 
 def read_document(path: Path) -> str:
-    """Read a whole text file such as JSON or TOML, UTF-8 or UTF-16 with a byte order mark, of at most 16 MB."""
+    """Read a text file such as JSON or TOML, UTF-8 or UTF-16 with a byte order mark, of at most 16 MB."""
     try:
         with open(path, "rb") as file:
             content = file.read(MAX_DOCUMENT + 1)
@@ -88,8 +89,8 @@ def read_json(path: Path) -> Any:
     """Read a JSON file in an encoding of `read_document`.
 
     Raises:
-        InputError: If the file cannot be read, is larger than 16 MB or nested too deeply, or is not valid JSON. NaN,
-            infinity and integers of thousands of digits are not accepted.
+        InputError: If the file cannot be read, is larger than 16 MB or nested too deeply, or is not valid
+            JSON. NaN, infinity and integers of thousands of digits are not accepted.
     """
     try:
         return json.loads(read_document(path), parse_constant=_refuse_constant)
@@ -111,11 +112,12 @@ _DAMAGED = (
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """Read the arrays of an .npz file, of any shape, without executing code from the file.
 
-    Arrays of Python objects, which NumPy stores as pickles, are refused, because reading a pickle can execute code.
+    Arrays of Python objects, which NumPy stores as pickles, are refused, because reading a pickle can execute
+    code.
 
     Raises:
-        InputError: If the file cannot be read, an array is damaged or holds Python objects, or the arrays together are
-            larger than both 64 MB and 100 times the file.
+        InputError: If the file cannot be read, an array is damaged or holds Python objects, or the arrays
+            together are larger than both 64 MB and 100 times the file.
     """
     try:
         with zipfile.ZipFile(path) as archive:

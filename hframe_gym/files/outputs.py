@@ -1,4 +1,4 @@
-"""Files that belong together: the folder for them, and their contents on the way from a worker process to it."""
+"""Files that belong together: their folder, and their contents on the way from a worker process to it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Result = TypeVar("Result")
 
 
 def output_folder(path: str | Path) -> Path:
-    """Return the value of the option --out, a folder that need not exist yet; an InputError refuses a file."""
+    """Return the value of the option --out, a folder that need not exist yet; InputError for a file."""
     folder = Path(path)
     if folder.exists() and not folder.is_dir():
         raise InputError(f"--out {folder}: is a file, but must be a folder")
@@ -23,8 +23,8 @@ def output_folder(path: str | Path) -> Path:
 def files_of(write: Callable[[Path], Result]) -> tuple[Result, dict[str, bytes]]:
     """Run a function that writes files to an empty folder; return its result, and the files by relative path.
 
-    A worker process, which must not write to the folders of its caller, returns its files in this way; the calling
-    process writes them with `write_files`.
+    A worker process, which must not write to the folders of its caller, returns its files in this way; the
+    calling process writes them with `write_files`.
     """
     with scratch_folder() as scratch:
         folder = scratch / "files"  # the scratch folder itself is locked

@@ -1,4 +1,4 @@
-"""Identification of a machine from recordings: initial states, fit, selection of effects, evaluation and report."""
+"""Identify a machine from recordings: initial states, fit, selection of effects, evaluation, report."""
 
 from ..preparation.dataset import MIN_ROWS, Dataset, PreparedRecording
 from ..preparation.division import hold_out

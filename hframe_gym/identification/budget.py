@@ -1,17 +1,17 @@
 """The budget of a search: processor time after which it ends with the best machine so far.
 
-A search asks the active budget between trial fits and between the iterations of a fit (`spend`). When the time is used
-up, or the user interrupts, `BudgetEndedError` unwinds the search. `search_effects` catches it and returns the best
-machine so far, which then goes through the same validation and verdict as that of a complete search. Without an active
-budget, as in a fit outside a search, `spend` does nothing.
+A search asks the active budget between trial fits and between the iterations of a fit (`spend`). When the
+time is used up, or the user interrupts, `BudgetEndedError` unwinds the search. `search_effects` catches it
+and returns the best machine so far, which then goes through the same validation and verdict as that of a
+complete search. Without an active budget, as in a fit outside a search, `spend` does nothing.
 
-Some stages must deliver a machine, such as the plain fit. In them (`limiting(delivers=True)`) nothing unwinds: a fit
-asks `goes_on` after each iteration, and ends with its best parameters so far.
+Some stages must deliver a machine, such as the plain fit. In them (`limiting(delivers=True)`) nothing
+unwinds: a fit asks `goes_on` after each iteration, and ends with its best parameters so far.
 
-The measure is the processor time of this process, all threads together, so that a search does not lose the time in
-which other programs run. A second does less on a slower processor, in several threads, or where other programs share
-caches and clock: the same identification took 4 s on one day and up to 7.6 s on another. A result depends on the budget
-only if the budget ends; report.json then has the key "unfinished".
+The measure is the processor time of this process, all threads together, so that a search does not lose the
+time in which other programs run. A second does less on a slower processor, in several threads, or where other
+programs share caches and clock: the same identification took 4 s on one day and up to 7.6 s on another. A
+result depends on the budget only if the budget ends; report.json then has the key "unfinished".
 """
 
 from __future__ import annotations
@@ -27,15 +27,16 @@ from ..errors import InputError
 from ..machine import Machine
 
 DEFAULT_SECONDS = 120.0  # of processor time, whatever the number of cores; an engineer waits a minute or two
-# Part of the budget after which no second search begins: with other held-out runs, or with another number of voltage
-# changes between the rows.
+# Part of the budget after which no second search begins: with other held-out runs, or with another number of
+# voltage changes between the rows.
 SECOND_SEARCH_PART = 0.6
 COMPARISON_PART = 0.85  # part after which no comparison of the runs with each other begins
 LAST_STAGE_END = (
     0.9  # part after which no stage goes on; simulations of held-out runs and report take some seconds
 )
-# Part of the budget for the plain fit, at most. It must be delivered, because no machine may be worse. With 15 % of
-# 30 s, that of a position drive had no weight, and left 24.6 instead of 9.0 times the noise on unseen runs.
+# Part of the budget for the plain fit, at most. It must be delivered, because no machine may be worse. With
+# 15 % of 30 s, that of a position drive had no weight, and left 24.6 instead of 9.0 times the noise on unseen
+# runs.
 PLAIN_FIT_PART = 0.3
 # Part of the budget for what follows the last stage, at most; without a search, it would say little.
 _LARGEST_RESERVE = 0.5
@@ -43,8 +44,8 @@ _LARGEST_RESERVE = 0.5
 _LEAST_SESSION_PART = 0.25
 # Part of the budget after which the last fit ends that must be delivered, whatever took the time before.
 _LAST_FIT_END = 0.95
-# Part of the budget for each stage after the search. In complete identifications, tests and final fits took 5 to 20 %;
-# a description takes 10 s for its first effect.
+# Part of the budget for each stage after the search. In complete identifications, tests and final fits took
+# 5 to 20 %; a description takes 10 s for its first effect.
 _STAGE_PART = 0.15
 
 # What the search does, processor time since the identification began, and the whole budget, s.
@@ -57,7 +58,8 @@ class StageEnds(NamedTuple):
     Attributes:
         search: Search for effects.
         tests: Tests of what a search that ended early has found; what they do not reach is not named.
-        last_fit: Last fit of the machine without effects, where the tests took all of their time. It must be delivered.
+        last_fit: Last fit of the machine without effects, where the tests took all of their time. It must be
+            delivered.
         all_rows: Fit to all rows, after a search in a part of them.
     """
 
@@ -71,8 +73,8 @@ def stage_ends(machine: Machine, *, in_part: bool = False) -> StageEnds:
     """Return when the stages of an identification end, so that each stage that may follow still has its part.
 
     Args:
-        machine: Machine that is identified. Without belts, a description may follow: there a search that ends early
-            rarely names the cause, and the description reduces the error most.
+        machine: Machine that is identified. Without belts, a description may follow: there a search that ends
+            early rarely names the cause, and the description reduces the error most.
         in_part: Whether effects are searched for in a part of the rows, which a fit to all of them follows.
     """
     all_rows = LAST_STAGE_END - (0.0 if machine.belts else _STAGE_PART)
@@ -93,8 +95,8 @@ class Budget:
         interrupted: Whether the user asked the search to end.
         searching: Whether a search is in progress that can end early.
         delivers: Whether the present stage ends with the best parameters so far instead of unwinding.
-        error: Chi-squared per sample (mean squared residual in units of the noise) of the best machine so far,
-            dimensionless; None before the first fit.
+        error: Chi-squared per sample (mean squared residual in units of the noise) of the best machine so
+            far, dimensionless; None before the first fit.
     """
 
     def __init__(
@@ -113,7 +115,8 @@ class Budget:
             spent: Part of it that was spent before, such as for reading the recordings, s.
             afterwards: Part that follows the identification, such as for a report page, s.
             clock: Function that returns the time that was spent, s, with any zero.
-            progress: Called with what the search does, the time spent and the budget, s, at each step of the search.
+            progress: Called with what the search does, the time spent and the budget, s, at each step of the
+                search.
 
         Raises:
             InputError: If the budget is negative or not a number.
@@ -181,7 +184,8 @@ class Budget:
         """Return whether the present stage has time; in one that need not deliver, a lack of it raises.
 
         Raises:
-            BudgetEndedError: If the time of a stage that need not deliver is used up, or the user interrupted it.
+            BudgetEndedError: If the time of a stage that need not deliver is used up, or the user interrupted
+                it.
         """
         if not self.delivers:
             self.check()
@@ -190,7 +194,7 @@ class Budget:
 
     @property
     def session_part(self) -> float:
-        """Part of a normal session that can be fitted in the time, dimensionless; without a search, all of it."""
+        """Part of a normal session that can be fitted in time, dimensionless; all without a search."""
         if self.seconds == 0.0:
             return 1.0
         return min(max(self.seconds / DEFAULT_SECONDS, _LEAST_SESSION_PART), 1.0)
@@ -207,8 +211,8 @@ class Budget:
         """Let all stages end earlier, if the last part of the budget is too short for what follows them.
 
         Args:
-            seconds: Processor time that follows the last stage, up to the end of the identification, s; it takes the
-                place of an earlier estimate.
+            seconds: Processor time that follows the last stage, up to the end of the identification, s; it
+                takes the place of an earlier estimate.
         """
         self._reserved = min(seconds + self._afterwards, _LARGEST_RESERVE * self.seconds)
 
@@ -243,8 +247,8 @@ class Budget:
         Args:
             part: Part of the budget after which the stage ends, dimensionless.
             delivers: Whether fits of the stage end with their best parameters then, instead of unwinding.
-            tests: Part of the budget after which the tests end that follow the stage (`expect_tests`), dimensionless.
-                Default: none follow.
+            tests: Part of the budget after which the tests end that follow the stage (`expect_tests`),
+                dimensionless. Default: none follow.
 
         Yields:
             Nothing.
@@ -323,7 +327,7 @@ def seconds_spent() -> float:
 
 
 def expect_tests(seconds: float) -> None:
-    """Tell the active budget, if there is one, how long the tests of what was found will take (`Budget.expect_tests`).
+    """Tell the active budget, if any, how long the tests of findings will take (`Budget.expect_tests`).
 
     Args:
         seconds: Processor time, s.

@@ -1,7 +1,7 @@
-"""Identification as a story: prepare, refit, propose and fit and judge until nothing passes, validate, report.
+"""Identification as a story: prepare, refit, propose, fit and judge until nothing passes, validate, report.
 
-`preparation` prepares; `search` refits and repeats `propose`, `fit`, `evidence` and `judge`; `validate` and `report`
-follow. `judge` decides, the others compute what it asks for.
+`preparation` prepares; `search` refits and repeats `propose`, `fit`, `evidence` and `judge`; `validate` and
+`report` follow. `judge` decides, the others compute what it asks for.
 """
 
 from __future__ import annotations
@@ -53,8 +53,9 @@ def identify(
 ) -> IdentificationResult:
     """Identify the effects (deviations such as friction curves or backlash) that a machine's model lacks.
 
-    The machine's parameters are fitted to the recordings; then effects are selected that reduce the remaining error.
-    Three machines (declared, refitted, with effects) are simulated over the held-out runs, to which nothing was fitted.
+    The machine's parameters are fitted to the recordings; then effects are selected that reduce the remaining
+    error. Three machines (declared, refitted, with effects) are simulated over the held-out runs, to which
+    nothing was fitted.
 
     Args:
         recordings: Runs of one rig, at least two.
@@ -62,18 +63,18 @@ def identify(
         held_out: Names of the runs to evaluate on. Default: one of each four similar runs, see `hold_out`.
         criteria: Decision thresholds. Default: `SelectionCriteria()`.
         log: Called with a line of text after each part of the work. Default: nothing is reported.
-        budget: Processor time that the identification may take, s (all threads together). When most of it is used up,
-            the search ends, what it found is tested and evaluated as usual, and `unfinished` of the result says what it
-            was doing; the refit is always completed. The result depends on the budget only then. 0: refit only;
-            `math.inf`: no limit. Default: 120 s.
+        budget: Processor time that the identification may take, s (all threads together). When most of it is
+            used up, the search ends, what it found is tested and evaluated as usual, and `unfinished` of the
+            result says what it was doing; the refit is always completed. The result depends on the budget
+            only then. 0: refit only; `math.inf`: no limit. Default: 120 s.
 
     Returns:
-        Verdict ("effect_found", "no_effect", or "unexplained" if an error remains that no effect explains), the three
-        machines with their errors on the held-out runs, and the selected effects.
+        Verdict ("effect_found", "no_effect", or "unexplained" if an error remains that no effect explains),
+        the three machines with their errors on the held-out runs, and the selected effects.
 
     Raises:
-        InputError: If the runs cannot be divided into fitted and held-out ones, a held-out name is unknown, a run has
-            fewer than 20 rows, no sensor moves in the fitted runs, or an argument is of another type.
+        InputError: If the runs cannot be divided into fitted and held-out ones, a held-out name is unknown, a
+            run has fewer than 20 rows, no sensor moves in the fitted runs, or an argument is of another type.
     """
     began = time.perf_counter()
     _require_types(recordings, held_out, criteria, budget)
@@ -93,7 +94,8 @@ def identify(
 
     tests = HeldOutTests(session, criteria)
 
-    # Refit, then propose effects, fit them, gather evidence and judge it, until none passes: in the fitted runs.
+    # Refit, then propose effects, fit them, gather evidence and judge it, until none passes: in the fitted
+    # runs.
     found = find_effects(
         machine,
         all_runs,
@@ -106,8 +108,8 @@ def identify(
     )
     found = found._replace(messages=(*copies, *session.statements, *statements, *found.messages))
 
-    # Validate: effects must be certain; held-out runs judge verdict and names; nothing worse than a plain fit or the
-    # file is delivered.
+    # Validate: effects must be certain; held-out runs judge verdict and names; nothing worse than a plain fit
+    # or the file is delivered.
     certain = with_certain_effects(found.outcome, criteria, log)
     judgment = judged(tests.of(found.held_out).evaluate(certain), found.differing, log)
     delivered = no_worse(judgment, found.plain, log, budget, differing=found.differing)
@@ -119,7 +121,8 @@ def identify(
     puzzling = bool(remarks) or outcome.verdict == "unexplained"
     if puzzling and budget.has_time(COMPARISON_PART):
         runs = representative_part(found.comparable_runs(session.data), machine, every_run=True)
-        # From the machine of the search: the one that is delivered may describe what the runs do not have in common.
+        # From the machine of the search: the one that is delivered may describe what the runs do not have in
+        # common.
         with suppress(BudgetEndedError), budget.limiting(LAST_STAGE_END):
             differences = describe_run_differences(judgment.evaluated.outcome.after, runs, criteria)
 
@@ -160,7 +163,7 @@ def _budget(budget: float | Budget | None, recordings: Sequence[Recording], log:
 def _without_copies(
     recordings: Sequence[Recording], held_out: Sequence[str], log: LineLog
 ) -> tuple[list[Recording], tuple[str, ...]]:
-    """Return the runs without copies of others, and a sentence about each; a run that the user holds out is kept."""
+    """Return the runs without copies of others, and a sentence about each; a user's held-out run is kept."""
     copies = copied_runs(recordings, held_out)
     statements = tuple(f"Not used: {copy} {reason}." for copy, reason in copies.items())
     for statement in statements:

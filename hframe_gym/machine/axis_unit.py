@@ -1,7 +1,7 @@
 """Units of the tool position: meters along linear axes, radians along rotary ones.
 
-Lengths that tasks, rewards and results state in meters, such as the band of 1 mm around a goal, hold for a rotary axis
-as angles: at the end of an arm of 0.1 m, 1 mm is 10 mrad.
+Lengths that tasks, rewards and results state in meters, such as the band of 1 mm around a goal, hold for a
+rotary axis as angles: at the end of an arm of 0.1 m, 1 mm is 10 mrad.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-# m. Arm at whose end an angle is as large as the way of a linear axis: that of a hobby servo, a small robot or a wheel.
+# m. Arm at whose end an angle is as large as the way of a linear axis: that of a hobby servo, a small robot
+# or a wheel.
 ARM = 0.1
 # rad, range of a rotary axis that declares none: one turn to either side
 DEFAULT_TURNS = (-2.0 * math.pi, 2.0 * math.pi)
@@ -34,7 +35,7 @@ class AxisUnit:
 
     @cached_property
     def bands(self) -> Mapping[str, float]:
-        """Settling bands around a goal, in this unit, by name, from wide to narrow: "1mm", ... or "10mrad", ..."""
+        """Settling bands around a goal, by name, from wide to narrow: "1mm", ... or "10mrad", ..."""
         sizes = [round(size * self.per_meter, 9) for size in _BANDS]
         return {f"{1e3 * size:g}{self.small}": size for size in sizes}
 

@@ -1,7 +1,7 @@
 """Components of a machine: coordinates, belts, drives and sensors.
 
-Each attribute is declared once, here: its type, unit and bounds in the class, its meaning in the docstring. The fields
-of machine.json and the parameters of the machine follow (`declaration`).
+Each attribute is declared once, here: its type, unit and bounds in the class, its meaning in the docstring.
+The fields of machine.json and the parameters of the machine follow (`declaration`).
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ class Coordinate(Component):
     """One coordinate (degree of freedom) of the machine.
 
     Attributes:
-        name: Name by which belts, drives, sensors and effects refer to the coordinate. The linear coordinates are the
-            axes of the tool in the environment, in the order of the file, whatever their names. Without linear ones,
-            the rotary coordinates are, one for each drive.
-        mass: Everything that moves with the coordinate: mass, kg, or moment of inertia, kg m^2. The rotor of a motor
-            behind a gear counts gear_ratio^2 times its inertia.
+        name: Name by which belts, drives, sensors and effects refer to the coordinate. The linear coordinates
+            are the axes of the tool in the environment, in the order of the file, whatever their names.
+            Without linear ones, the rotary coordinates are, one for each drive.
+        mass: Everything that moves with the coordinate: mass, kg, or moment of inertia, kg m^2. The rotor of
+            a motor behind a gear counts gear_ratio^2 times its inertia.
         viscous: Viscous friction coefficient, Ns/m or Nms (per rad/s). Without the back-EMF of the motor.
         coulomb: Coulomb friction, N or Nm.
         kind: "linear" (a carriage, positions in m) or "rotary" (a pulley, angles in rad).
-        radius: Pitch radius of the pulley, m. A rotary coordinate on which a belt runs needs it, a linear one has
-            none. If no belt runs on it (a motor, a servo with an arm), leave it out: it has no influence on the
-            motion. Default in a file: 0.1 m.
-        range: Lowest and highest position [low, high], m or rad. Default: unlimited. The environment needs the ranges
-            of linear coordinates, which are its workspace; that of a rotary axis without a range is one turn to either
-            side of zero.
+        radius: Pitch radius of the pulley, m. A rotary coordinate on which a belt runs needs it, a linear one
+            has none. If no belt runs on it (a motor, a servo with an arm), leave it out: it has no influence
+            on the motion. Default in a file: 0.1 m.
+        range: Lowest and highest position [low, high], m or rad. Default: unlimited. The environment needs
+            the ranges of linear coordinates, which are its workspace; that of a rotary axis without a range
+            is one turn to either side of zero.
     """
 
     name: Annotated[str, Plain("name")]
@@ -67,12 +67,13 @@ class Coordinate(Component):
         return self.radius if self.kind == "rotary" else 1.0
 
     def unit(self, quantity: str) -> str:
-        """Return the unit of a quantity at this coordinate: m, N, ... at a linear one, rad, Nm, ... at a rotary one.
+        """Return a quantity's unit at this coordinate: m, N, ... if linear, rad, Nm, ... if rotary.
 
         Args:
-            quantity: A parameter of the coordinate ("mass", "viscous", "coulomb" or "radius"), or a key of `UNITS`,
-                such as "position", "speed", "force", "stiffness", "drag" (force per squared speed) or "rad/position"
-                (a phase per position). Keys of `FIXED_UNITS`, such as "voltage", have one unit at all coordinates.
+            quantity: A parameter of the coordinate ("mass", "viscous", "coulomb" or "radius"), or a key of
+                `UNITS`, such as "position", "speed", "force", "stiffness", "drag" (force per squared speed)
+                or "rad/position" (a phase per position). Keys of `FIXED_UNITS`, such as "voltage", have one
+                unit at all coordinates.
 
         Raises:
             KeyError: If the quantity is none of these.
@@ -86,20 +87,21 @@ class Coordinate(Component):
 class Belt(Component):
     """One belt section.
 
-    The travel p of a coordinate is its position (linear), or its angle times its radius (rotary), in m. The section has
-    the extension s = sum(extension[c] * p[c]), m, the stiffness k = EA / (rest_length + sum(length[c] * p[c])), N/m,
-    and the force k s (eq. 38-44 of Sollmann et al. 2010).
+    The travel p of a coordinate is its position (linear), or its angle times its radius (rotary), in m. The
+    section has the extension s = sum(extension[c] * p[c]), m, the stiffness k = EA / (rest_length +
+    sum(length[c] * p[c])), N/m, and the force k s (eq. 38-44 of Sollmann et al. 2010).
 
     Attributes:
         name: Name of the belt section.
-        EA: Axial stiffness: Young's modulus times cross-section area, N. It is the force that would double the length.
+        EA: Axial stiffness: Young's modulus times cross-section area, N. It is the force that would double
+            the length.
         rest_length: Length of the section with all coordinates at zero, m.
-        extension: Extension of the section per travel, m/m, by name of the coordinate. It is positive if a positive
-            motion of this coordinate alone stretches the section. A pulley usually has 1 or -1; its radius is not part
-            of it.
-        length: Change of the section's unstretched length per travel, m/m, by name of the coordinate: a carriage that
-            moves along the belt lengthens the section on one side of it. Usually the factors of the carriages in
-            `extension`. Empty (default): constant stiffness.
+        extension: Extension of the section per travel, m/m, by name of the coordinate. It is positive if a
+            positive motion of this coordinate alone stretches the section. A pulley usually has 1 or -1; its
+            radius is not part of it.
+        length: Change of the section's unstretched length per travel, m/m, by name of the coordinate: a
+            carriage that moves along the belt lengthens the section on one side of it. Usually the factors of
+            the carriages in `extension`. Empty (default): constant stiffness.
     """
 
     name: Annotated[str, Plain("name")]
@@ -113,29 +115,33 @@ class Belt(Component):
 class Drive(Component):
     """One drive: a DC motor with gear and amplifier, which moves one coordinate.
 
-    With the voltage V, the resistance R and the speed w of the coordinate (rad/s or m/s), the torque (Nm) or force (N)
-    on the coordinate is gear_ratio * Kt/R * (V - Ke * gear_ratio * w): eq. 17 of Sollmann et al. (2010) with the gear
-    ratio that it omits.
+    With the voltage V, the resistance R and the speed w of the coordinate (rad/s or m/s), the torque (Nm) or
+    force (N) on the coordinate is gear_ratio * Kt/R * (V - Ke * gear_ratio * w): eq. 17 of Sollmann et al.
+    (2010) with the gear ratio that it omits.
 
     Attributes:
         name: Name of the drive.
-        channel: Column of its command in recordings, for example v1_V, i1_A, torque1_Nm or command_rad. A positive
-            command accelerates the coordinate in positive direction.
+        channel: Column of its command in recordings, for example v1_V, i1_A, torque1_Nm or command_rad. A
+            positive command accelerates the coordinate in positive direction.
         coordinate: Name of the coordinate that it drives.
-        Kt: Torque constant of the motor, Nm/A. For the kind "torque" the true torque per commanded torque, with the
-            unit "1"; 1 if it is left out.
-        Ke: Back-EMF constant of the motor, Vs/rad. Equal to Kt in these units, if the data sheet does not give it.
+        Kt: Torque constant of the motor, Nm/A. For the kind "torque" the true torque per commanded torque,
+            with the unit "1"; 1 if it is left out.
+        Ke: Back-EMF constant of the motor, Vs/rad. Equal to Kt in these units, if the data sheet does not
+            give it.
         resistance: Resistance between the terminals, ohm.
-        gear_ratio: Angle of the motor shaft per unit of the coordinate: "1" (rad/rad) at a pulley, rad/m at a carriage.
-            There it is 1 / radius for a belt and 2 pi / lead for a screw, times the ratio of the gear.
-        voltage_range: Largest command of the converter in either direction, in its unit. Default: the rated one.
+        gear_ratio: Angle of the motor shaft per unit of the coordinate: "1" (rad/rad) at a pulley, rad/m at a
+            carriage. There it is 1 / radius for a belt and 2 pi / lead for a screw, times the ratio of the
+            gear.
+        voltage_range: Largest command of the converter in either direction, in its unit. Default: the rated
+            one.
         rated_voltage: Command that an action of 1 in the environment gives, in the unit of the command.
-        law_parameters: Values by name, SI, for kinds whose torque follows a law: gains and limits of the loop of the
-            kinds "position" and "speed", holding torque of a "stepper". Those with a default may be left out.
+        law_parameters: Values by name, SI, for kinds whose torque follows a law: gains and limits of the loop
+            of the kinds "position" and "speed", holding torque of a "stepper". Those with a default may be
+            left out.
         converter_bits: Bits of the digital-to-analog converter; 0 (default) for a continuous voltage.
         kind: What its command is, and what it makes of it. Default: "voltage".
-        supply: Column of the measured supply voltage in recordings, V, for example vbus_V. Drives may share it. Without
-            it, a duty cycle is one of the rated voltage.
+        supply: Column of the measured supply voltage in recordings, V, for example vbus_V. Drives may share
+            it. Without it, a duty cycle is one of the rated voltage.
 
     Raises:
         InputError: If the kind is not registered, or a parameter of its law is missing or unknown.
@@ -232,12 +238,12 @@ class Drive(Component):
 
     @property
     def command(self) -> str:
-        """Quantity of the command in simulations, by the kind: "voltage", "current", "torque", "position", "speed"."""
+        """Quantity of the command, by the kind: "voltage", "current", "torque", "position", "speed"."""
         return DRIVE_KINDS.get(self.kind).command
 
     @property
     def gain(self) -> float:
-        """Force (N/V) or torque (Nm/V) on the coordinate per volt, at standstill: gear_ratio * Kt / resistance.
+        """Force (N/V) or torque (Nm/V) on the coordinate per volt, at rest: gear_ratio * Kt / resistance.
 
         Only a scale for a drive with a law: its largest force per rated command.
         """
@@ -253,7 +259,7 @@ class Drive(Component):
 
     @property
     def back_emf(self) -> float:
-        """Viscous friction coefficient equivalent to the back-EMF: gear_ratio^2 * Kt * Ke / resistance, Ns/m or Nms."""
+        """Viscous coefficient of the back-EMF: gear_ratio^2 * Kt * Ke / resistance, Ns/m or Nms."""
         return self.gain * self.emf_constant
 
     @property
@@ -265,7 +271,7 @@ class Drive(Component):
 
     @property
     def largest_speed(self) -> float:
-        """Largest speed of the coordinate that its set points permit, m/s or rad/s; infinite without such a limit."""
+        """The coordinate's largest speed by its set points, m/s or rad/s; infinite without a limit."""
         if self.law_parameters and self.command == "speed":
             return self.rated_voltage
         return self.law_parameters.get("speed_limit", math.inf)
@@ -273,31 +279,32 @@ class Drive(Component):
     @property
     @override
     def device_parameters(self) -> dict[str, float]:
-        """Parameters of the digital-to-analog converter by name; its range is by default the rated voltage."""
+        """Parameters of the D/A converter by name; its range is by default the rated voltage."""
         limit = self.rated_voltage if self.voltage_range is None else self.voltage_range
         return super().device_parameters | {"voltage_range": limit}
 
 
 @dataclass(frozen=True)
 class Sensor(Component):
-    """One sensor, which measures the sum of coefficients times positions, speeds, accelerations, currents or tensions.
+    """One sensor of a sum of coefficients times positions, speeds, accelerations, currents or tensions.
 
     Its unit is that of the quantity at the coordinate with the largest coefficient.
 
     Attributes:
-        channel: Column of its measurements in recordings; the name ends in the unit, for example _m, _rad, _m_s,
-            _rad_s, _m_s2 or _A.
+        channel: Column of its measurements in recordings; the name ends in the unit, for example _m, _rad,
+            _m_s, _rad_s, _m_s2 or _A.
         row: Coefficient by name of a coordinate, usually {"x": 1.0}; or of a product of two: "y*yaw" adds the
-            coefficient times y * yaw to the position. By name of a drive for a current, of a belt for a tension.
+            coefficient times y * yaw to the position. By name of a drive for a current, of a belt for a
+            tension.
         noise: Standard deviation of the noise; 0 if it is below the resolution.
-        resolution: Quantization step; 0 for a continuous sensor. An encoder on the motor shaft that is read in
-            quadrature has 2 pi / (4 * lines * gear_ratio).
+        resolution: Quantization step; 0 for a continuous sensor. An encoder on the motor shaft that is read
+            in quadrature has 2 pi / (4 * lines * gear_ratio).
         kind: What it measures. Default in a file: "encoder" on a rotary coordinate, "laser" on a linear one.
-        zero: Measurement of an encoder at position 0, if it was (nearly) the same in all runs from which the machine
-            was identified. `std`, if given, is its standard deviation from run to run, caused by belts that friction
-            holds stretched at rest. Default: unknown.
-        zero_std: Standard deviation of `zero` from run to run, in the sensor's unit. None: `zero` is unknown, or no
-            variation was found.
+        zero: Measurement of an encoder at position 0, if it was (nearly) the same in all runs from which the
+            machine was identified. `std`, if given, is its standard deviation from run to run, caused by
+            belts that friction holds stretched at rest. Default: unknown.
+        zero_std: Standard deviation of `zero` from run to run, in the sensor's unit. None: `zero` is unknown,
+            or no variation was found.
     """
 
     kinds: ClassVar[Registry[Any] | None] = SENSOR_KINDS
@@ -328,7 +335,7 @@ class Sensor(Component):
 
     @property
     def incremental(self) -> bool:
-        """Whether the sensor counts increments from its position at power-on; its reading at position 0 is unknown."""
+        """Whether the sensor counts increments from power-on; its reading at position 0 is unknown."""
         return SENSOR_KINDS.get(self.kind).incremental
 
     @property
@@ -358,7 +365,7 @@ class Sensor(Component):
 
     @property
     def turn(self) -> float | None:
-        """Size of the range after which the measurement begins anew, in the channel's unit; None if it does not."""
+        """Range after which the measurement begins anew, in the channel's unit; None if it does not."""
         return SENSOR_KINDS.get(self.kind).turn
 
     @property

@@ -1,8 +1,9 @@
-"""How the components of a machine declare their attributes, once: all other descriptions of them follow from this.
+"""How the components of a machine declare their attributes, once, for all other descriptions of them.
 
-`viscous: Annotated[float, Number("viscous", lower=0.0)]` makes an attribute of a component a number with a unit. From
-its declarations, and the descriptions in its docstring, follow the parameters of the machine that can be identified or
-randomized, their units, and the fields of machine.json: schema, reader, writer and the tables of the documentation.
+`viscous: Annotated[float, Number("viscous", lower=0.0)]` makes an attribute of a component a number with a
+unit. From its declarations, and the descriptions in its docstring, follow the parameters of the machine that
+can be identified or randomized, their units, and the fields of machine.json: schema, reader, writer and the
+tables of the documentation.
 """
 
 from __future__ import annotations
@@ -21,16 +22,16 @@ from ..errors import InputError
 from ..registry import Registry
 
 CoordinateKind = Literal["linear", "rotary"]
-# "required": a file must state it, whether or not the class has a default. "written": a file may leave it out, but we
-# write it always. "omitted": a file may leave it out, and we leave it out at its default.
+# "required": a file must state it, whether or not the class has a default. "written": a file may leave it
+# out, but we write it always. "omitted": a file may leave it out, and we leave it out at its default.
 Presence = Literal["required", "written", "omitted"]
 Role = Literal["parameter", "device", ""]
 POSITIVE, LARGEST = 1e-30, 1e30  # beyond these, products of a few parameters vanish or overflow
 
-# Units of the quantities of a linear and of a rotary coordinate. An effect states the unit of a parameter by one of
-# these keys, because it is N at a carriage and Nm at a pulley, for example. Two keys need an explanation: "absolute
-# position" is a place, such as that of a magnet, whereas "position" is a distance, such as a period, which a search
-# scales by the typical travel; "rad/position" is a phase per position.
+# Units of the quantities of a linear and of a rotary coordinate. An effect states the unit of a parameter by
+# one of these keys, because it is N at a carriage and Nm at a pulley, for example. Two keys need an
+# explanation: "absolute position" is a place, such as that of a magnet, whereas "position" is a distance,
+# such as a period, which a search scales by the typical travel; "rad/position" is a phase per position.
 _UNITS = {
     "position": ("m", "rad"),
     "absolute position": ("m", "rad"),
@@ -65,11 +66,12 @@ class Number:
         unit: Unit, or its name among `Variant.units`: "mass" is kg or kg m^2, depending on the coordinate.
         lower: Smallest value: `POSITIVE`, 0, or negative if every value is possible.
         upper: Largest value.
-        role: "parameter": it enters the equations of motion, and can be identified and randomized. "device": it can
-            be randomized only. "": neither.
+        role: "parameter": it enters the equations of motion, and can be identified and randomized. "device":
+            it can be randomized only. "": neither.
         presence: Whether machine.json has it; a value that may be None is never "required".
         plausible: Largest plausible value of a length, m. A larger one is probably in millimeters.
-        std: Name of the attribute that is its standard deviation, which machine.json states in the same object.
+        std: Name of the attribute that is its standard deviation, which machine.json states in the same
+            object.
         older_unit: Unit that older files may have instead; it has the same meaning.
     """
 
@@ -96,8 +98,8 @@ class Plain:
     """Declaration of an attribute that is no number.
 
     Attributes:
-        form: "name" of a component: letters, digits and underscores. "column" of recordings. "text": any text.
-            "numbers" by name; the kind of the component states their names, units and bounds.
+        form: "name" of a component: letters, digits and underscores. "column" of recordings. "text": any
+            text. "numbers" by name; the kind of the component states their names, units and bounds.
         presence: Whether machine.json has it.
     """
 
@@ -157,7 +159,7 @@ class Variant:
 
 
 class Component:
-    """Base class of coordinates, belts, drives and sensors: what follows from the declarations of their attributes.
+    """Base class of coordinates, belts, drives and sensors: what follows from their attributes' declarations.
 
     Attributes:
         kinds: Registered kinds of such components; None if they have no kinds.
@@ -172,14 +174,14 @@ class Component:
 
     @classmethod
     def variants(cls) -> dict[tuple[str, CoordinateKind], Variant]:
-        """Return all variants of the component by the name of its kind, empty without kinds, and the coordinate's."""
+        """Return the component's variants by its kind's name, empty without kinds, and the coordinate's."""
         pairs = itertools.product(cls.kinds or ("",), UNITS)
         return {(kind, coordinate): cls.variant(coordinate, kind) for kind, coordinate in pairs}
 
     @classmethod
     @cache
     def attributes(cls) -> Mapping[str, Attribute]:
-        """Return the attributes by name, texts first, then in the order of the class, which machine.json has too."""
+        """Return the attributes by name, texts first, then in the class's order, as in machine.json."""
         hints = get_type_hints(cls, include_extras=True)
         described = descriptions(cls)
         found = []
@@ -228,7 +230,7 @@ class Component:
 
     @property
     def device_parameters(self) -> dict[str, float]:
-        """Values of the parameters that do not enter the equations of motion, by name in alphabetical order."""
+        """Values of the parameters that do not enter the equations of motion, by name, alphabetically."""
         return {name: getattr(self, name) for name in sorted(self.names("device"))}
 
     def require_possible(self) -> None:

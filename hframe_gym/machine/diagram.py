@@ -24,9 +24,9 @@ _MIN_ROWS = 10  # of the table, so that few rows are not drawn higher
 def draw_machine(machine: Machine) -> Any:
     """Draw a machine as a figure of matplotlib: a plan view, and a table of its coefficients.
 
-    The plan view is drawn if the tool has one or two axes. The table has a column for each coordinate and a row for
-    each belt (extension per travel of the coordinate, m/m), drive (force or torque per volt, N/V or Nm/V) and sensor
-    (coefficient of the coordinate in the reading).
+    The plan view is drawn if the tool has one or two axes. The table has a column for each coordinate and a
+    row for each belt (extension per travel of the coordinate, m/m), drive (force or torque per volt, N/V or
+    Nm/V) and sensor (coefficient of the coordinate in the reading).
 
     Raises:
         ImportError: If matplotlib is missing; the message says how to install it.
@@ -53,7 +53,7 @@ def draw_machine(machine: Machine) -> Any:
 
 
 def _draw_stage(view: Any, machine: Machine, geometry: StageGeometry) -> None:
-    """Draw the plan view of a stage, with its tool away from the center so that the sections differ in length."""
+    """Draw the plan view of a stage, with its tool off the center so that the sections differ in length."""
     x = 0.65 * geometry.right + 0.35 * geometry.left
     y = 0.6 * geometry.high + 0.4 * geometry.low
     for boxes, color in ((geometry.rails(), _RAIL), (geometry.bridge(x, y), _BODY)):

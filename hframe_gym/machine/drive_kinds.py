@@ -20,24 +20,25 @@ from .effect import AppliedEffect, Effect
 class DriveKind:
     """Base class of drive kinds: what the command of a drive is, and what the drive makes of it.
 
-    A kind is a subclass that registers itself with `@DRIVE_KINDS.register("name")`. Kinds are never instantiated. The
-    current that a command causes is (command - Ke * gear_ratio * w) / resistance, where a drive that controls its
-    current has Ke 0 and resistance 1: its amplifier supplies whatever voltage is necessary. A kind with a `law` has
-    another relation between command, motion and torque, for example the controller of a servo.
+    A kind is a subclass that registers itself with `@DRIVE_KINDS.register("name")`. Kinds are never
+    instantiated. The current that a command causes is (command - Ke * gear_ratio * w) / resistance, where a
+    drive that controls its current has Ke 0 and resistance 1: its amplifier supplies whatever voltage is
+    necessary. A kind with a `law` has another relation between command, motion and torque, for example the
+    controller of a servo.
 
     Attributes:
-        command: Quantity of the command in simulations: "voltage", "current", "torque" (of the motor shaft), or the
-            "position" or "speed" of the coordinate.
+        command: Quantity of the command in simulations: "voltage", "current", "torque" (of the motor shaft),
+            or the "position" or "speed" of the coordinate.
         fraction: Whether recordings have the command as a fraction of the supply voltage, from -1 to 1.
         fixed: Values of the parameters of `Drive` that a drive of this kind does not have.
         units: Units of parameters of `Drive` that have another one for this kind.
-        law: Torque of the motor shaft, Nm, as the formula `current` of an effect on a drive, which may have a state
-            (`Effect`). None: the motor's equation above.
-        defaults: Values of parameters that a file need not state. At its default, a parameter of the law has no
-            influence, and it is not identified.
+        law: Torque of the motor shaft, Nm, as the formula `current` of an effect on a drive, which may have a
+            state (`Effect`). None: the motor's equation above.
+        defaults: Values of parameters that a file need not state. At its default, a parameter of the law has
+            no influence, and it is not identified.
         largest: Parameter of the law that is the largest torque, Nm.
-        unit_of_force: Parameter of the law in proportion to which all torques are. Motion alone does not determine it:
-            with all masses and friction forces in the same proportion, the motion is the same.
+        unit_of_force: Parameter of the law in proportion to which all torques are. Motion alone does not
+            determine it: with all masses and friction forces in the same proportion, the motion is the same.
     """
 
     command: ClassVar[str] = "voltage"
@@ -51,10 +52,10 @@ class DriveKind:
 
     @classmethod
     def damping(cls, gear_ratio: Any, law_parameters: Mapping[str, Any]) -> Any:
-        """Return the viscous coefficient of a law: by how much the force that it makes falls per speed, Ns/m or Nms.
+        """Return the viscous coefficient of a law: by how much its force falls per speed, Ns/m or Nms.
 
-        It is that at the coordinate, while the torque is within its limits; 0 for a law without such a part. The
-        integrator solves it exactly, so that a stiff loop needs no short steps.
+        It is that at the coordinate, while the torque is within its limits; 0 for a law without such a part.
+        The integrator solves it exactly, so that a stiff loop needs no short steps.
 
         Args:
             gear_ratio: Gear ratio of the drive, rad/m or rad/rad: float, array of any shape or expression.
@@ -91,10 +92,10 @@ class VoltageDrive(DriveKind):
 
 @DRIVE_KINDS.register("duty-cycle")
 class DutyCycleDrive(DriveKind):
-    """A bridge whose recorded command is a duty cycle, from -1 to 1: the voltage is that fraction of the supply's.
+    """A bridge whose recorded command is a duty cycle, from -1 to 1: a fraction of the supply's voltage.
 
-    Reading a recording multiplies the duty cycle by the measured supply (`Drive.supply`), or by the rated voltage in a
-    recording without that column. Everything else knows voltages only.
+    Reading a recording multiplies the duty cycle by the measured supply (`Drive.supply`), or by the rated
+    voltage in a recording without that column. Everything else knows voltages only.
     """
 
     fraction = True
@@ -102,7 +103,7 @@ class DutyCycleDrive(DriveKind):
 
 @DRIVE_KINDS.register("current")
 class CurrentDrive(DriveKind):
-    """An amplifier that controls the current of the motor; its bandwidth and limit are effects of the drive."""
+    """An amplifier that controls the motor's current; its bandwidth and limit are effects of the drive."""
 
     command = "current"
     fixed: ClassVar[Mapping[str, float]] = {"Ke": 0.0, "resistance": 1.0}

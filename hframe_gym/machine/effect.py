@@ -1,10 +1,11 @@
 """Effects: physical phenomena (friction, delay, ...) that the basic model of a machine lacks, as formulas.
 
-An `Effect` is a definition (one file of `hframe_gym.effects`), an `AppliedEffect` a definition at a site (the component
-on which it acts) with parameter values. The docstring of `Effect` lists the formulas that a definition may give. They
-are called hooks, because the simulation calls each at a fixed point of its equations. Hooks use the elementary
-functions of `hframe_gym.dynamics.elementwise`, so that one definition serves NumPy arrays, the compiled simulation
-kernel (generated code) and CasADi. They may call helper functions and use constants of their module.
+An `Effect` is a definition (one file of `hframe_gym.effects`), an `AppliedEffect` a definition at a site (the
+component on which it acts) with parameter values. The docstring of `Effect` lists the formulas that a
+definition may give. They are called hooks, because the simulation calls each at a fixed point of its
+equations. Hooks use the elementary functions of `hframe_gym.dynamics.elementwise`, so that one definition
+serves NumPy arrays, the compiled simulation kernel (generated code) and CasADi. They may call helper
+functions and use constants of their module.
 """
 
 from __future__ import annotations
@@ -93,21 +94,23 @@ class EffectParameter:
 
     Attributes:
         name: Name of the parameter: an argument of the hooks (formulas) of the effect.
-        unit: Unit, such as "N/m^2", or the name of one quantity whose unit follows from the site, such as "force", N or
-            Nm: a key of `machine.UNITS`, or "voltage".
+        unit: Unit, such as "N/m^2", or the name of one quantity whose unit follows from the site, such as
+            "force", N or Nm: a key of `machine.UNITS`, or "voltage".
         lower: Lower bound, SI.
         upper: Upper bound, SI.
-        scale: Typical size. With the name of a quantity, as a multiple of its typical value at the site (force: a tenth
-            of that of the drives at rated voltage; speed: the largest; position: the travel; mass: the declared one).
-            So too with "A", "1/A^2" and "1/W" (current of the drive) and "m", "1/m^2" and "N" (extension and force of
-            the belts). With any other unit, in this unit.
+        scale: Typical size. With the name of a quantity, as a multiple of its typical value at the site
+            (force: a tenth of that of the drives at rated voltage; speed: the largest; position: the travel;
+            mass: the declared one). So too with "A", "1/A^2" and "1/W" (current of the drive) and "m",
+            "1/m^2" and "N" (extension and force of the belts). With any other unit, in this unit.
         grid: Starting values of a search, given like `scale`.
-        largest: Largest value that a search may give the parameter, given like `scale`. Beyond it, the effect would act
-            like another one: hysteresis over a longer distance than the motion is a spring.
-        role: "amplitude": the effect is absent where it is 0. "phase": phase of a sine that the amplitude multiplies.
-            "period" (m or rad), "rate" (rad per m or rad): of such a sine over the position; a search finds starting
-            values. "switch": a threshold; predictions change in steps with it. "fixed": not fitted. "shape": any other.
-        above: Name of another parameter of the effect, which is a lower bound of this one; empty if there is none.
+        largest: Largest value that a search may give the parameter, given like `scale`. Beyond it, the effect
+            would act like another one: hysteresis over a longer distance than the motion is a spring.
+        role: "amplitude": the effect is absent where it is 0. "phase": phase of a sine that the amplitude
+            multiplies. "period" (m or rad), "rate" (rad per m or rad): of such a sine over the position; a
+            search finds starting values. "switch": a threshold; predictions change in steps with it. "fixed":
+            not fitted. "shape": any other.
+        above: Name of another parameter of the effect, which is a lower bound of this one; empty if there is
+            none.
     """
 
     name: str
@@ -130,21 +133,24 @@ class EffectParameter:
 class Effect:
     """Definition of an effect: physics (friction, delay, ...) that may act at some site of a machine.
 
-    A definition gives one or more hooks: functions, one for each formula. The names of its arguments tell what a hook
-    receives: parameters of the effect, by their names, and quantities of the last column, by their symbols:
+    A definition gives one or more hooks: functions, one for each formula. The names of its arguments tell
+    what a hook receives: parameters of the effect, by their names, and quantities of the last column, by
+    their symbols:
 
     hook                returns                                                      arguments
-    force               force added to the coordinate, N or Nm                       q, v, t, z, u, load, m, net,
-                                                                                     friction
+    force               force added to the coordinate, N or Nm                       q, v, t, z, u, load, m,
+                                                                                     net, friction
     reaction            force of an added coordinate on that at the site, N or Nm    q, v, m
     active_region       where the force may differ from zero (default: everywhere)   q, v, t
-    coulomb             change of the Coulomb friction force, N or Nm (sum >= 0)     q, v, t, z, u, level, drive
+    coulomb             change of the Coulomb friction force, N or Nm (sum >= 0)     q, v, t, z, u, level,
+                                                                                     drive
     friction            dry friction force that replaces Coulomb friction, N or Nm   q, v, t, z, level
     viscous             viscous coefficient of the coordinate, Ns/m or Nms           b, direction
     voltage             voltage that reaches the drive, V                            V
     delay               delay of the drive's voltage, s
     set_point           command as the law of the drive sees it, in its unit         V, q
-    current             current of the drive, A (the mean over a step)               i, z, V, q, v, dq, dv, N, R
+    current             current of the drive, A (the mean over a step)               i, z, V, q, v, dq, dv, N,
+                                                                                     R
     torque              current that makes torque without the effect, A              i, q
     tension             tension of a belt, N                                         s, rate, k, per_radius
     energy_slope        derivative of the belt's energy by its stiffness, m^2        s, k
@@ -155,75 +161,82 @@ class Effect:
     measurement         measured value of a sensor, in its unit                      r, q, across
     measurement_delay   delay of a sensor, s
     clock               by which fraction steps last longer than by the log's clock  z
-    next_state          state of the effect after the time dt                        z, dq, dt, v, dv, level, i, V, q,
-                                                                                     N, R, power, stall_power
+    next_state          state of the effect after the time dt                        z, dq, dt, v, dv, level,
+                                                                                     i, V, q, N, R, power,
+                                                                                     stall_power
     initial_spread      standard deviation of the state when a recording begins,     level, N, i, m
                         after motion that was not recorded (default: it is zero);
                         of an effect that adds a coordinate, those of position and
                         speed of this coordinate
 
-    - Coordinate: q, v: position and speed, m or rad, m/s or rad/s; per_radius: 1/radius of a pulley, 1/m; b: viscous
-      coefficient without the effect, Ns/m or Nms; direction: sign of the motion, +1 or -1; level: Coulomb friction
-      force with the effects on it, N or Nm; drive, load: force of its drives and of its belts, N or Nm (load only
-      without an `active_region`). For a force on a coordinate that `structure` adds, if it has the argument net: net,
-      friction: net force and friction (dry and viscous) on the coordinate at the site, N or Nm; m: mass of the added
-      coordinate, kg or kg m^2. For `reaction`, q, v, m are those of the added coordinate.
-    - Effect: z: its state, 0 when a simulation starts; u: the variable that `against` names; t: time since the machine
-      was switched on, s; dt: length of a step, s; dq: distance that the coordinate moves in dt, m or rad;
-      dv: change of its speed in dt, m/s or rad/s, 0 where it is not known.
-    - Drive: V: voltage, V; i: current by Ohm's law, A (for `torque`, with the effects on it); q, v: position and speed
-      of its coordinate, for `current` in the middle of a step in which they change by dq and dv, both 0 for the current
-      at an instant; N, R: its gear ratio and resistance, ohm; power: sum of V i by Ohm's law over the drives on
-      which the effect acts, W; stall_power: this sum if they stood still, W. For `initial_spread`, i is the current at
-      standstill and the rated voltage, level that of the coordinate at the site without effects. Belt: s, rate, k:
-      extension, m, its rate, m/s, stiffness, N/m (per_radius only for a belt that `structure` adds behind a drive).
-      Sensor: r: ideal reading, in its unit; q: position of the coordinate that it mainly measures, m or rad; across:
-      position of the other linear coordinate, m.
+    - Coordinate: q, v: position and speed, m or rad, m/s or rad/s; per_radius: 1/radius of a pulley, 1/m; b:
+      viscous coefficient without the effect, Ns/m or Nms; direction: sign of the motion, +1 or -1; level:
+      Coulomb friction force with the effects on it, N or Nm; drive, load: force of its drives and of its
+      belts, N or Nm (load only without an `active_region`). For a force on a coordinate that `structure`
+      adds, if it has the argument net: net, friction: net force and friction (dry and viscous) on the
+      coordinate at the site, N or Nm; m: mass of the added coordinate, kg or kg m^2. For `reaction`, q, v, m
+      are those of the added coordinate.
+    - Effect: z: its state, 0 when a simulation starts; u: the variable that `against` names; t: time since
+      the machine was switched on, s; dt: length of a step, s; dq: distance that the coordinate moves in dt, m
+      or rad; dv: change of its speed in dt, m/s or rad/s, 0 where it is not known.
+    - Drive: V: voltage, V; i: current by Ohm's law, A (for `torque`, with the effects on it); q, v: position
+      and speed of its coordinate, for `current` in the middle of a step in which they change by dq and dv,
+      both 0 for the current at an instant; N, R: its gear ratio and resistance, ohm; power: sum of V i by
+      Ohm's law over the drives on which the effect acts, W; stall_power: this sum if they stood still, W. For
+      `initial_spread`, i is the current at standstill and the rated voltage, level that of the coordinate at
+      the site without effects. Belt: s, rate, k: extension, m, its rate, m/s, stiffness, N/m (per_radius only
+      for a belt that `structure` adds behind a drive). Sensor: r: ideal reading, in its unit; q: position of
+      the coordinate that it mainly measures, m or rad; across: position of the other linear coordinate, m.
 
     Attributes:
         name: Unique name.
-        family: Name of the group of effects with the same physical cause that reports treat as one effect. Default: the
-            name of the effect.
+        family: Name of the group of effects with the same physical cause that reports treat as one effect.
+            Default: the name of the effect.
         site: Kind of site at which the effect can act. "motor": the coordinate of a drive. "drive", "drives":
-            amplifier and winding of one drive, or of all at once ("drives" where this is the usual case). "belts": all
-            belts or one. "machine": all coordinates, or the structure that `structure` changes. On several components,
-            the effect has the same parameter values, but a separate state for each.
+            amplifier and winding of one drive, or of all at once ("drives" where this is the usual case).
+            "belts": all belts or one. "machine": all coordinates, or the structure that `structure` changes.
+            On several components, the effect has the same parameter values, but a separate state for each.
         parameters: Parameters, in the order in which `Machine.parameters` lists them.
         formula: The equation, for tables and reports.
         source: Reference of the formula.
-        structure: Function (machine, applied effect) -> machine that changes the machine itself: it adds coordinates,
-            belts and sensor rows whose parameters are tied to the effect's parameters.
+        structure: Function (machine, applied effect) -> machine that changes the machine itself: it adds
+            coordinates, belts and sensor rows whose parameters are tied to the effect's parameters.
         fits: Predicate (machine) -> bool: whether the machine has the components that the effect needs.
         fits_site: Predicate (machine, site) -> bool: whether the effect can act at that site.
         equivalent: Causes that no recording can distinguish from the effect, in words.
-        equivalent_site: Predicate (machine, site, other site) -> bool: whether no recording can distinguish the effect
-            at one of the sites from that at the other one.
+        equivalent_site: Predicate (machine, site, other site) -> bool: whether no recording can distinguish
+            the effect at one of the sites from that at the other one.
         shared: Whether a search also tries an effect of the kind "drive" on all drives at once.
-        refitted: Whether other parameter values of the machine have the same influence; a search then omits the effect,
-            unless an effect of all drives changes the same voltage after it.
+        refitted: Whether other parameter values of the machine have the same influence; a search then omits
+            the effect, unless an effect of all drives changes the same voltage after it.
         against: Variable `u` of a tabulated effect: "position of y", "velocity of y", "path of y" or "time".
-        rigid: Function (machine without the added coordinate, applied effect) -> machine that returns to the site what
-            `structure` took from it, for controllers (`rigid_counterpart`). Default: nothing.
-        coordinate: Name of the coordinate that `structure` adds, on which `force` acts, with "{site}" for that of the
-            component; empty if none.
-        belt: Name of the belt section that `structure` adds, on which alone `tension` acts; "{site}" stands for the
-            effect's site. Its extension names the coordinates before and behind the contact that it stands for. Effects
-            at "belts" do not act on it. Empty if there is none.
-        half_gap: Name of the parameter that is half the gap of this contact, in the unit of the coordinate before it.
-        requires: Name of the effect that must be in the model at the same site before a search adds this one; or empty.
-        needs_part: Part that not every machine has, and without which the effect does not exist, such as "magnets". Of
-            effects that explain the same, those that need none are preferred. Empty if it needs none.
+        rigid: Function (machine without the added coordinate, applied effect) -> machine that returns to the
+            site what `structure` took from it, for controllers (`rigid_counterpart`). Default: nothing.
+        coordinate: Name of the coordinate that `structure` adds, on which `force` acts, with "{site}" for
+            that of the component; empty if none.
+        belt: Name of the belt section that `structure` adds, on which alone `tension` acts; "{site}" stands
+            for the effect's site. Its extension names the coordinates before and behind the contact that it
+            stands for. Effects at "belts" do not act on it. Empty if there is none.
+        half_gap: Name of the parameter that is half the gap of this contact, in the unit of the coordinate
+            before it.
+        requires: Name of the effect that must be in the model at the same site before a search adds this one;
+            or empty.
+        needs_part: Part that not every machine has, and without which the effect does not exist, such as
+            "magnets". Of effects that explain the same, those that need none are preferred. Empty if it needs
+            none.
         impacts: Whether parts collide, so that small changes of a parameter change the motion irregularly.
-        range_ends: Names of the parameters that are the lowest and the highest measurement of a sensor, if the effect
-            limits its range (`Machine.measuring_ranges`).
-        starting_values: For an effect of a sensor, function (measurements, shape (m,), and their noise, in the sensor's
-            unit) -> sets of starting values of a search, by parameter name. Default: those of the parameters' `grid`.
+        range_ends: Names of the parameters that are the lowest and the highest measurement of a sensor, if
+            the effect limits its range (`Machine.measuring_ranges`).
+        starting_values: For an effect of a sensor, function (measurements, shape (m,), and their noise, in
+            the sensor's unit) -> sets of starting values of a search, by parameter name. Default: those of
+            the parameters' `grid`.
         signal_order: Place on the way of a signal. Where several effects change the same voltage, current or
-            measurement, those with smaller numbers act first, in whichever order they are listed in the machine.
+            measurement, those with smaller numbers act first, in whichever order they are listed in the
+            machine.
 
     Raises:
-        InputError: If an argument of a hook is neither a parameter nor a quantity of the hook, or is both, or a unit
-            misspells the name of a quantity.
+        InputError: If an argument of a hook is neither a parameter nor a quantity of the hook, or is both, or
+            a unit misspells the name of a quantity.
     """
 
     name: str
@@ -307,7 +320,7 @@ class Effect:
             )
 
     def __hash__(self) -> int:
-        """Return a hash of the name; those of all formulas would take longer than to find the code of a machine."""
+        """Return a hash of the name; all formulas' would take longer than to find a machine's code."""
         return hash(self.name)
 
     def parameter(self, name: str) -> EffectParameter:
@@ -318,7 +331,7 @@ class Effect:
         raise KeyError(f"effect {self.name!r} has no parameter {name!r}")
 
     def possible_sites(self, machine: Components) -> tuple[str, ...]:
-        """List the components of a machine on which the effect can act, by the kind of component (attribute `site`).
+        """List the components of a machine on which the effect can act, by component (attribute `site`).
 
         "drives" and "belts" stand for all drives or belts at once, "machine" for the whole machine. The
         further conditions `fits` and `fits_site` are not checked.
@@ -350,7 +363,7 @@ class Effect:
 
     @property
     def replaces_model_part(self) -> bool:
-        """Whether the effect adds coordinates or replaces dry friction. It then cannot be faded in by an amplitude."""
+        """Whether the effect adds coordinates or replaces dry friction. No amplitude can then fade it in."""
         return bool(self.structure or self.friction)
 
     @property
@@ -362,13 +375,14 @@ class Effect:
         """Return the effect on a component, with parameter values, for `Machine.with_effects`.
 
         Args:
-            site: Name of the coordinate, drive, belt or sensor channel on which the effect acts; or "drives" or "belts"
-                for all of them, or "machine". `possible_sites` lists the choices, `Machine.with_effects` checks them.
+            site: Name of the coordinate, drive, belt or sensor channel on which the effect acts; or "drives"
+                or "belts" for all of them, or "machine". `possible_sites` lists the choices,
+                `Machine.with_effects` checks them.
             **parameters: Value of every parameter of the effect, SI, within its bounds (`EffectParameter`).
 
         Raises:
-            InputError: If a parameter is missing, unknown, no number, outside its bounds or below the parameter that
-                its `above` names; the message names it.
+            InputError: If a parameter is missing, unknown, no number, outside its bounds or below the
+                parameter that its `above` names; the message names it.
         """
         names, label = [p.name for p in self.parameters], f"effect {self.name} at {site}"
         problems = [f"{name} is missing" for name in names if name not in parameters]
@@ -407,7 +421,7 @@ class AppliedEffect:
 
     @property
     def label(self) -> str:
-        """Name and component, e.g. "stribeck_friction@x"; full names of the effect's parameters begin with it."""
+        """Name and component, e.g. "stribeck_friction@x"; its parameters' full names begin with it."""
         return f"{self.definition.name}@{self.site}"
 
     @property
@@ -417,7 +431,7 @@ class AppliedEffect:
 
     @property
     def added_belt(self) -> str:
-        """Name of the belt section that the effect adds to a machine, on which it acts; empty if there is none."""
+        """Name of the belt section that the effect adds to a machine, where it acts, or empty."""
         return self.definition.belt.format(site=self.site)
 
     @property
@@ -430,8 +444,8 @@ class AppliedEffect:
         """Return the components of a machine on which the effect acts.
 
         They are all drives for the site "drives", all belts for "belts", and all coordinates for "machine";
-        but ("machine",) for an effect that adds components (`Effect.structure`) or changes the clock, and the added
-        belt, if there is one.
+        but ("machine",) for an effect that adds components (`Effect.structure`) or changes the clock, and the
+        added belt, if there is one.
         """
         kind = self.definition.site
         if self.definition.belt:
@@ -445,11 +459,11 @@ class AppliedEffect:
         return (self.site,) if self.site in names or not names else names
 
     def with_parameters(self, parameters: Mapping[str, float]) -> AppliedEffect:
-        """Return a copy of the effect with other values, SI, of all parameters; names and bounds are not checked."""
+        """Return a copy of the effect with other values, SI, of all parameters, without checks."""
         return dataclasses.replace(self, parameters=dict(parameters))
 
     def check_site(self, machine: Components) -> None:
-        """Raise a ValueError, with the possible sites, if a machine lacks the site, or has the effect there already."""
+        """Raise a ValueError, with possible sites, if a machine lacks the site or has the effect there."""
         if any(present.label == self.label for present in machine.effects):
             raise ValueError(f"effect {self.label}: machine {machine.name!r} has it already")
         sites = self.definition.possible_sites(machine)
@@ -464,9 +478,10 @@ class AppliedEffect:
         """Evaluate one hook (a formula of the effect) with the effect's parameter values.
 
         Args:
-            hook: Name of a hook that the effect has, for example "force"; `Effect` lists all hooks with their units.
-            **quantities: Quantities that the hook takes as arguments by their symbols, for example q (position) and v
-                (speed). Surplus quantities are ignored.
+            hook: Name of a hook that the effect has, for example "force"; `Effect` lists all hooks with their
+                units.
+            **quantities: Quantities that the hook takes as arguments by their symbols, for example q
+                (position) and v (speed). Surplus quantities are ignored.
 
         Raises:
             KeyError: If an argument of the hook is not given; the message names it.
@@ -485,5 +500,5 @@ def _declared_belts(machine: Components) -> tuple[str, ...]:
 
 @lru_cache(maxsize=1024)
 def argument_names(function: Hook) -> tuple[str, ...]:
-    """Return the names of the quantities that a hook takes as arguments, for example ("q", "k") of `force(q, k)`."""
+    """Return the names of the quantities that a hook takes as arguments, e.g. ("q", "k") of `force(q, k)`."""
     return tuple(inspect.signature(function).parameters)

@@ -18,11 +18,12 @@ def standard_deviations(
     Args:
         machine: Machine with the covariance.
         quantity: Function from a machine to quantities in any unit, an array of any one shape.
-        step: Step of the central differences, in standard deviations of the parameter. Where a quantity jumps, short
-            ones exaggerate its change.
+        step: Step of the central differences, in standard deviations of the parameter. Where a quantity
+            jumps, short ones exaggerate its change.
 
     Returns:
-        Standard deviations in the units of the quantities, in their shape; None if the machine has no covariance.
+        Standard deviations in the units of the quantities, in their shape; None if the machine has no
+        covariance.
     """
     if machine.uncertainty is None:
         return None

@@ -1,7 +1,8 @@
 """The machine model: coordinates with a diagonal mass matrix, elastic belts, drives, sensors and effects.
 
-Extension s = G p and length of a belt are linear in the belt travel p of the coordinates (p = radius * angle of a
-pulley). The potential energy is 1/2 sum k s^2, k = EA / length (eq. 38-44 of Sollmann et al. 2010). Values are SI.
+Extension s = G p and length of a belt are linear in the belt travel p of the coordinates (p = radius * angle
+of a pulley). The potential energy is 1/2 sum k s^2, k = EA / length (eq. 38-44 of Sollmann et al. 2010).
+Values are SI.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ class Contact(NamedTuple):
 
 @dataclass(frozen=True)
 class Machine:
-    """A belt-driven positioning system. Load one by preset name or from a file with `hframe_gym.load_machine`.
+    """A belt-driven positioning system. Load one by name or from a file with `hframe_gym.load_machine`.
 
     Attributes:
         name: Name of the machine.
@@ -57,9 +58,9 @@ class Machine:
         effects: Additional physical phenomena, each at its site, the component on which it acts.
         uncertainty: Covariance of the parameters, if they were identified.
         description: One sentence for people.
-        ties: Parameters that equal a factor times another parameter, by full name, for example {"phi3.radius":
-            ("phi1.radius", 1.0)}. An effect that adds coordinates ties their parameters to its parameters; without
-            the effect, they keep their values and are parameters of their own.
+        ties: Parameters that equal a factor times another parameter, by full name, for example
+            {"phi3.radius": ("phi1.radius", 1.0)}. An effect that adds coordinates ties their parameters to
+            its parameters; without the effect, they keep their values and are parameters of their own.
     """
 
     name: str
@@ -117,7 +118,7 @@ class Machine:
 
     @cached_property
     def shape(self) -> tuple[object, ...]:
-        """Structure without parameter values: components, coefficients, effects; equal shapes use one compiled code."""
+        """Structure without parameter values: components, coefficients, effects; equal shapes share code."""
         return (
             tuple((c.name, c.kind) for c in self.coordinates),
             tuple((b.name, tuple(b.extension.items()), tuple(b.length.items())) for b in self.belts),
@@ -142,7 +143,7 @@ class Machine:
         return self.drives[self._index("drive", name, [d.name for d in self.drives])]
 
     def sensor(self, channel: str) -> Sensor:
-        """Return the sensor of a channel, for example "x_m"; an InputError lists the channels if there is none."""
+        """Return the sensor of a channel, for example "x_m"; an InputError lists all channels."""
         return self.sensors[self._index("sensor", channel, self.output_channels)]
 
     def _index(self, kind: str, name: str, names: Sequence[str]) -> int:
@@ -166,7 +167,7 @@ class Machine:
 
     @cached_property
     def travel_per_unit(self) -> Array:
-        """Belt travel per unit of each coordinate: the radius, m/rad, of a pulley, else 1; shape (coordinates,)."""
+        """Belt travel per unit of each coordinate: a pulley's radius, m/rad, else 1; shape (coordinates,)."""
         return np.array([c.travel_per_unit for c in self.coordinates])
 
     @cached_property
@@ -187,7 +188,8 @@ class Machine:
     def sensor_matrix(self) -> Array:
         """Readings of sensors of positions per unit of each coordinate, SI, shape (sensors, coordinates).
 
-        Rows of other sensors are zero. Coefficients of products such as "y*yaw" (`Sensor.row`) have no column.
+        Rows of other sensors are zero. Coefficients of products such as "y*yaw" (`Sensor.row`) have no
+        column.
         """
         nothing = np.zeros(len(self.coordinates))
         return np.array([self.coefficients(s.row) if s.of_position else nothing for s in self.sensors])
@@ -199,7 +201,7 @@ class Machine:
 
     @property
     def commands_in_words(self) -> str:
-        """What the drives are commanded by, as a plural: "voltages", "duty cycles", "currents", ... or "set points"."""
+        """The drives' commands: "voltages", "duty cycles", "currents", ... or "set points"."""
         quantities = {
             "duty cycle" if DRIVE_KINDS.get(drive.kind).fraction else drive.command for drive in self.drives
         }
@@ -208,7 +210,7 @@ class Machine:
         return f"{quantities.pop()}s" if len(quantities) == 1 else "commands"
 
     def measures_position(self, channel: str) -> bool:
-        """Return whether the sensor of a channel measures a position, and not a speed or a current, for example."""
+        """Return whether the sensor of a channel measures a position, not a speed or a current."""
         return self.sensor(channel).of_position
 
     @cached_property
@@ -222,13 +224,14 @@ class Machine:
         return any(sensor.has_direction for sensor in self.sensors)
 
     def sensor_unit(self, sensor: Sensor) -> str:
-        """Return the unit of a sensor, such as "rad/s": of its kind, or of its quantity at `coordinate_of_sensor`."""
+        """Return a sensor's unit, such as "rad/s": that of its kind, or its quantity's at its coordinate."""
         return self.variant(sensor).units["measurement"]
 
     def coordinate_of_sensor(self, sensor: Sensor) -> str:
         """Return the name of the coordinate that a sensor mainly measures.
 
-        That of a current is the one that the drive moves, that of a tension the one that stretches the belt most.
+        That of a current is the one that the drive moves, that of a tension the one that stretches the belt
+        most.
         """
         match sensor.sensed.component:
             case "drive":
@@ -241,12 +244,13 @@ class Machine:
     def coordinate_of_site(self, site: str, kind: SiteKind) -> str | None:
         """Return the coordinate on which an effect acts, given the component that is its site.
 
-        It is the site itself, what the drive there moves, or what the sensor there measures. It is None for a belt, for
-        "drives", "belts" and "machine" (several coordinates), and for unknown sites.
+        It is the site itself, what the drive there moves, or what the sensor there measures. It is None for a
+        belt, for "drives", "belts" and "machine" (several coordinates), and for unknown sites.
 
         Args:
             site: Name of the component, such as "x", "motor1" or "x_m".
-            kind: Kind of the component (`Effect.site`), because components of different kinds may have the same name.
+            kind: Kind of the component (`Effect.site`), because components of different kinds may have the
+                same name.
         """
         coordinates = {
             "coordinate": {name: name for name in self.coordinate_names},
@@ -258,11 +262,12 @@ class Machine:
 
     @cached_property
     def tool_axes(self) -> tuple[str, ...]:
-        """Names of the controlled axes: the coordinates that give the tool position, in the order of its axes.
+        """Names of controlled axes: the coordinates that give the tool position, in the order of its axes.
 
-        With one or two linear coordinates: all of them. With more: ("x", "y"), or () if one of these names is missing.
-        Without linear coordinates, the one or two rotary coordinates that no drive moves directly (a load behind an
-        elastic belt), or else those that the drives move; () if there are not as many of either as drives.
+        With one or two linear coordinates: all of them. With more: ("x", "y"), or () if one of these names is
+        missing. Without linear coordinates, the one or two rotary coordinates that no drive moves directly (a
+        load behind an elastic belt), or else those that the drives move; () if there are not as many of
+        either as drives.
         """
         linear = tuple(c.name for c in self.coordinates if c.kind == "linear")
         if len(linear) > 2:
@@ -284,10 +289,10 @@ class Machine:
 
     @cached_property
     def axis_ranges(self) -> tuple[tuple[float, float] | None, ...]:
-        """Lowest and highest position of each controlled axis, in its unit: the declared range of its coordinate.
+        """Lowest and highest position of each controlled axis, in its unit: its coordinate's declared range.
 
-        A rotary axis without one has `DEFAULT_TURNS`, one turn to either side of zero. It is None for a linear axis
-        without range.
+        A rotary axis without one has `DEFAULT_TURNS`, one turn to either side of zero. It is None for a
+        linear axis without range.
         """
         declared = [self.coordinate(name).range for name in self.tool_axes]
         default = DEFAULT_TURNS if self.axis_unit is RADIANS else None
@@ -295,7 +300,7 @@ class Machine:
 
     @cached_property
     def spring_loaded(self) -> tuple[str, ...]:
-        """Names of the coordinates that effects add, such as bridge yaw; a spring centers each of them at zero."""
+        """Names of the coordinates that effects add, such as bridge yaw; a spring centers each at zero."""
         return tuple(e.coordinate for e in self.effects if e.coordinate)
 
     @cached_property
@@ -309,15 +314,16 @@ class Machine:
         return tuple(contacts)
 
     def other_axis(self, coordinate: str) -> str | None:
-        """Return the one linear coordinate that remains if a coordinate is left out, such as y for x, or None."""
+        """Return the one linear coordinate that remains without a coordinate, such as y for x, or None."""
         others = [c.name for c in self.coordinates if c.kind == "linear" and c.name != coordinate]
         return others[0] if len(others) == 1 else None
 
     @cached_property
     def parameters(self) -> dict[str, float]:
-        """Parameters that can be identified or randomized, SI, by full name, for example `x.coulomb`, `left.EA`.
+        """Parameters that can be identified or randomized, SI, by full name, such as `x.coulomb`, `left.EA`.
 
-        Tied parameters (`ties`) are not included; their values follow from the parameters to which they are tied.
+        Tied parameters (`ties`) are not included; their values follow from the parameters to which they are
+        tied.
         """
         values: dict[str, float] = {}
         for component in (*self.coordinates, *self.belts, *self.drives):
@@ -336,7 +342,7 @@ class Machine:
         return name, factor
 
     def with_tied(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Return values of parameters by full name, numbers or arrays, with those of the parameters tied to them."""
+        """Return values of parameters by full name, numbers or arrays, with those tied to them."""
         owners = {tied: self.untied(tied) for tied in self.ties}
         return {**values, **{n: factor * values[o] for n, (o, factor) in owners.items() if o in values}}
 
@@ -344,8 +350,9 @@ class Machine:
     def device_parameters(self) -> dict[str, float]:
         """Parameters of sensors and drives that do not enter the equations of motion, by full name.
 
-        They can be randomized: `x_m.noise` and `x_m.resolution` (in its unit) of every sensor; `motor1.converter_bits`
-        (number of bits) and `motor1.voltage_range` (V, by default the rated voltage) of every drive.
+        They can be randomized: `x_m.noise` and `x_m.resolution` (in its unit) of every sensor;
+        `motor1.converter_bits` (number of bits) and `motor1.voltage_range` (V, by default the rated voltage)
+        of every drive.
         """
         return {
             f"{component.label}.{key}": value
@@ -354,7 +361,7 @@ class Machine:
         }
 
     def variant(self, component: Component) -> Variant:
-        """Return what the kind of a component, such as "rotary", changes: units, and attributes that it lacks."""
+        """Return what a component's kind, such as "rotary", changes: units, and attributes that it lacks."""
         if isinstance(component, Coordinate):
             return Coordinate.variant(component.kind)
         if isinstance(component, Drive):
@@ -364,7 +371,7 @@ class Machine:
         return Variant()
 
     def unit(self, parameter: str) -> str:
-        """Return the unit of a parameter, such as "Ns/m" of "x.viscous", or "1"; a KeyError if it is unknown."""
+        """Return the unit of a parameter, such as "Ns/m" of "x.viscous", or "1"; KeyError if unknown."""
         owner, _, key = parameter.rpartition(".")
         if effect := {e.label: e for e in self.effects}.get(owner):
             return self.effect_unit(effect, key)
@@ -378,7 +385,7 @@ class Machine:
         raise KeyError(f"machine {self.name!r} has no parameter {parameter}")
 
     def command_unit(self, drive: Drive) -> str:
-        """Return the unit of the command of a drive of this machine, for example V, or rad for a servo at a pulley."""
+        """Return the unit of a drive's command on this machine, such as V, or rad for a servo at a pulley."""
         return self.variant(drive).units["command"]
 
     def effect_unit(self, effect: AppliedEffect, parameter: str) -> str:
@@ -399,8 +406,8 @@ class Machine:
         """Return a copy of the machine with other parameter values, or with other values of its attributes.
 
         Args:
-            values: New values by full name in `parameters` or `device_parameters`, SI. Tied parameters (`ties`) change
-                with them; `converter_bits` are rounded to integers. None: no new values.
+            values: New values by full name in `parameters` or `device_parameters`, SI. Tied parameters
+                (`ties`) change with them; `converter_bits` are rounded to integers. None: no new values.
             **fields: New values of attributes of the machine, for example `name` or `drives`.
 
         Raises:
@@ -425,14 +432,15 @@ class Machine:
     def with_components(
         self, *components: Component, ties: Mapping[str, tuple[str, float]] | None = None
     ) -> Machine:
-        """Return a copy with other components in place of those of their type and name, or added where there are none.
+        """Return a copy with other components in place of those of their type and name, or in addition.
 
         Args:
             *components: Coordinates, belts, drives and sensors, in any order.
             ties: Ties to add to those of the machine (`ties`).
 
         Raises:
-            InputError: If one of these components names a coordinate, drive or belt that the machine does not have.
+            InputError: If one of these components names a coordinate, drive or belt that the machine does not
+                have.
         """
         new: dict[str, Any] = {}
         for kind, name in _COMPONENTS.items():
@@ -464,11 +472,11 @@ class Machine:
                 raise InputError(f"{type(component).__name__} {component.label!r}: {error}") from None
 
     def with_effects(self, *effects: AppliedEffect) -> Machine:
-        """Return a copy with additional effects, each at its site; some also add components (`Effect.structure`).
+        """Return a copy with more effects, each at its site; some also add components (`Effect.structure`).
 
         Raises:
-            ValueError: If the machine lacks the site of an effect or components that it needs, or has it there already;
-                an InputError if it is not an effect at a site.
+            ValueError: If the machine lacks the site of an effect or components that it needs, or has it
+                there already; an InputError if it is not an effect at a site.
         """
         machine = self
         for effect in effects:
@@ -495,8 +503,8 @@ class Machine:
         Args:
             time_s: Times of N samples, s, strictly increasing, shape (N,).
             inputs: Drive voltages, V, shape (N, drives).
-            initial: Positions (m, rad), then velocities (m/s, rad/s), at the first sample, shape (2 * coordinates,).
-                Default: at rest at the origin with unstretched belts.
+            initial: Positions (m, rad), then velocities (m/s, rad/s), at the first sample,
+                shape (2 * coordinates,). Default: at rest at the origin with unstretched belts.
 
         Raises:
             ValueError: If the shapes do not fit the machine, times do not increase, or a value is not finite.
@@ -509,10 +517,10 @@ class Machine:
 
 
 def require_machine(machine: object) -> None:
-    """Raise an InputError if an argument is no machine, such as the name or the file of one, or an impossible one.
+    """Raise an InputError if an argument is no machine, such as one's name or file, or an impossible one.
 
-    The values of a file are checked when it is read, and those of effects when they are applied. A program may have
-    given a component a negative mass, or one that is not a number.
+    The values of a file are checked when it is read, and those of effects when they are applied. A program
+    may have given a component a negative mass, or one that is not a number.
     """
     if not isinstance(machine, Machine):
         raise InputError(f"machine is {machine!r}; give a Machine, such as that of load_machine('hframe')")
@@ -521,7 +529,7 @@ def require_machine(machine: object) -> None:
 
 
 def _with_values(part: Component | AppliedEffect, values: Mapping[str, float]) -> Any:
-    """Return a component or effect with those of its parameters replaced that `values` holds under `label.key`."""
+    """Return a component or effect with the parameters that `values` holds under `label.key`."""
     if isinstance(part, AppliedEffect):
         return part.with_parameters(
             {k: values.get(f"{part.label}.{k}", v) for k, v in part.parameters.items()}

@@ -17,9 +17,9 @@ from .uncertainty import Uncertainty
 
 # m per unit of the leading coordinate; a motion that extends a belt by more is not rigid.
 _RIGID_EXTENSION = 1e-9
-# Hz, natural frequency below which a load is slow. Designed for the cart alone, with a load of 0.3 of its mass, `pid`
-# settles an H-frame within 0.2 mm in 0.41 instead of 0.76 s at 1.8 Hz, in 0.67 instead of 0.70 s at 4 Hz, and in 0.72
-# instead of 0.69 s at 5 Hz.
+# Hz, natural frequency below which a load is slow. Designed for the cart alone, with a load of 0.3 of its
+# mass, `pid` settles an H-frame within 0.2 mm in 0.41 instead of 0.76 s at 1.8 Hz, in 0.67 instead of 0.70 s
+# at 4 Hz, and in 0.72 instead of 0.69 s at 5 Hz.
 FASTEST_SLOW_LOAD_HZ = 4.0
 
 
@@ -32,7 +32,7 @@ def observed_coordinates(machine: Machine) -> tuple[str, ...]:
 
 
 def pulley_names(machine: Machine) -> tuple[str, ...]:
-    """List the pulleys of a machine: its rotary coordinates, except those that a spring holds, such as bridge yaw."""
+    """List a machine's pulleys: its rotary coordinates, but those held by a spring, such as bridge yaw."""
     return tuple(
         c.name for c in machine.coordinates if c.kind == "rotary" and c.name not in machine.spring_loaded
     )
@@ -41,11 +41,11 @@ def pulley_names(machine: Machine) -> tuple[str, ...]:
 def rigid_counterpart(machine: Machine, *, with_slow_loads: bool = False) -> Machine:
     """Return the machine for which controllers are designed: coordinates that effects add stay at zero.
 
-    A bridge does not yaw, a payload does not swing, the frame that carries a sensor rests: no sensor measures these
-    coordinates, and a controller does not act against the vibration that they cause. The effects that add them are left
-    out with their parameters; a machine without such effects is returned as it is. A load that is left out moves with
-    its carriage, unless it is slow (`slow_loads`): then the carriage moves alone. Coordinates that are not held by a
-    spring, such as idlers or the pulley behind a gear's gap, remain.
+    A bridge does not yaw, a payload does not swing, the frame that carries a sensor rests: no sensor measures
+    these coordinates, and a controller does not act against the vibration that they cause. The effects that
+    add them are left out with their parameters; a machine without such effects is returned as it is. A load
+    that is left out moves with its carriage, unless it is slow (`slow_loads`): then the carriage moves alone.
+    Coordinates that are not held by a spring, such as idlers or the pulley behind a gear's gap, remain.
 
     Args:
         with_slow_loads: Whether the slow loads remain, as an estimator of the state needs them.
@@ -77,7 +77,7 @@ def rigid_counterpart(machine: Machine, *, with_slow_loads: bool = False) -> Mac
 
 
 def slow_loads(machine: Machine) -> tuple[AppliedEffect, ...]:
-    """Return the effects that add a load which swings so slowly that its carriage moves to a goal under it."""
+    """Return the effects that add a load that swings so slowly that its carriage moves to a goal under it."""
     return tuple(
         e for e in machine.effects if e.definition.reaction and _natural_frequency(e) < FASTEST_SLOW_LOAD_HZ
     )
@@ -102,14 +102,14 @@ def _without(uncertainty: Uncertainty | None, labels: Collection[str]) -> Uncert
 def rest_state(machine: Machine, position: ArrayLike | None = None, *, leading: int | None = None) -> Array:
     """Return the state of a machine at rest, with unstretched belts, for given positions of the carriages.
 
-    The pulley angles follow from the condition that no belt is stretched. If it cannot be met, the sum of the squared
-    extensions is minimal. Coordinates that a spring holds, such as the yaw of a bridge, are zero.
+    The pulley angles follow from the condition that no belt is stretched. If it cannot be met, the sum of the
+    squared extensions is minimal. Coordinates that a spring holds, such as the yaw of a bridge, are zero.
 
     Args:
-        position: Positions of the linear coordinates in the machine's order, m, shape (linear coordinates,); a single
-            value applies to all of them. Default: zeros.
-        leading: Number of linear coordinates, the first ones, to which `position` refers; the others, which effects
-            added, follow like pulleys. Default: all.
+        position: Positions of the linear coordinates in the machine's order, m, shape (linear coordinates,);
+            a single value applies to all of them. Default: zeros.
+        leading: Number of linear coordinates, the first ones, to which `position` refers; the others, which
+            effects added, follow like pulleys. Default: all.
 
     Returns:
         Positions of all coordinates, m or rad, then velocities, which are zero, shape (2 * coordinates,).
@@ -123,7 +123,7 @@ def rest_state(machine: Machine, position: ArrayLike | None = None, *, leading: 
 
 
 def commanded_state(machine: Machine, commands: ArrayLike) -> Array:
-    """Return the state at rest in which the coordinates with a commanded position are where the command holds them.
+    """Return the state at rest with coordinates of commanded position where the command holds them.
 
     Belts are not stretched, or as little as possible.
 
@@ -132,8 +132,8 @@ def commanded_state(machine: Machine, commands: ArrayLike) -> Array:
         commands: Inputs, in the drives' units, shape (drives,); only commanded positions matter.
 
     Returns:
-        Positions of all coordinates, m or rad, then velocities, which are zero, shape (2 * coordinates,). That of
-        `rest_state` if no position is commanded.
+        Positions of all coordinates, m or rad, then velocities, which are zero, shape (2 * coordinates,).
+        That of `rest_state` if no position is commanded.
     """
     held = [machine.coordinate_names.index(name) for name in machine.position_commands]
     if not held:
@@ -148,7 +148,7 @@ def commanded_state(machine: Machine, commands: ArrayLike) -> Array:
 
 
 def _unstretched(machine: Machine, leaders: Sequence[int], position: ArrayLike) -> Array:
-    """Return the positions (coordinates,) in which the others follow the leading coordinates without stretch."""
+    """Return the positions (coordinates,) where others follow the leading coordinates without stretch."""
     q = np.zeros(len(machine.coordinates))
     q[leaders] = np.asarray(position, float)
     held = machine.spring_loaded
@@ -163,7 +163,7 @@ def _unstretched(machine: Machine, leaders: Sequence[int], position: ArrayLike) 
 
 
 def rest_positions_per_axis(machine: Machine) -> Array:
-    """Return how far coordinates move per travel of an axis with unstretched belts, SI, shape (coordinates, axes).
+    """Return coordinates' motion per travel of an axis with unstretched belts, SI, shape (coordinates, axes).
 
     Where the tool is at p, the positions in `rest_state` are this matrix times p.
     """
@@ -178,14 +178,14 @@ def rest_positions_per_axis(machine: Machine) -> Array:
 def rigid_motions(machine: Machine) -> dict[str, Array]:
     """Return the rigid-body motions of a machine: independent motions in which no belt is stretched.
 
-    In each motion one linear coordinate leads, and others follow so that all belts keep their length: the pulleys, or
-    in a machine without pulleys the other carriages. In a machine without belts each coordinate moves alone.
-    Coordinates that a spring holds, such as the yaw of a bridge, do not move.
+    In each motion one linear coordinate leads, and others follow so that all belts keep their length: the
+    pulleys, or in a machine without pulleys the other carriages. In a machine without belts each coordinate
+    moves alone. Coordinates that a spring holds, such as the yaw of a bridge, do not move.
 
     Returns:
-        Motions by name of the leading coordinate: motion of every coordinate per unit of the leading one (m or rad per
-        m or rad), shape (coordinates,). A linear coordinate does not lead a motion if it follows another one or cannot
-        move without stretching a belt.
+        Motions by name of the leading coordinate: motion of every coordinate per unit of the leading one (m
+        or rad per m or rad), shape (coordinates,). A linear coordinate does not lead a motion if it follows
+        another one or cannot move without stretching a belt.
     """
     count = len(machine.coordinates)
     movable = [i for i, name in enumerate(machine.coordinate_names) if name not in machine.spring_loaded]
@@ -207,7 +207,7 @@ def rigid_motions(machine: Machine) -> dict[str, Array]:
 
 
 def carried_through_contacts(machine: Machine, displacements: Array) -> Array:
-    """Return `displacements` in which what is behind a contact moves with its near side, shape (n, coordinates).
+    """Return `displacements` that move what is behind a contact like its near side, shape (n, coordinates).
 
     A displacement of one side alone would be a blow, because contacts are stiff.
 
@@ -223,13 +223,13 @@ def carried_through_contacts(machine: Machine, displacements: Array) -> Array:
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """Inertia, force and speed along one rigid motion at rated voltage, for a plausibility check of a machine.
+    """Inertia, force and speed along one rigid motion at rated voltage, to check a machine's plausibility.
 
     Attributes:
         inertia: Inertia that moves, referred to the leading coordinate, kg or kg m^2.
         force: Force of all drives at standstill, minus Coulomb friction, N or Nm.
-        speed: Steady speed at rated voltage, m/s or rad/s, at most that which drives with set points permit; infinite
-            without friction, back-EMF and such a limit.
+        speed: Steady speed at rated voltage, m/s or rad/s, at most that which drives with set points permit;
+            infinite without friction, back-EMF and such a limit.
     """
 
     inertia: float
@@ -238,7 +238,7 @@ class MotionLimits:
 
 
 def motion_limits(machine: Machine) -> dict[str, MotionLimits]:
-    """Compute inertia, maximum force and steady speed along each rigid motion with every drive at its rated voltage.
+    """Compute inertia, maximum force and steady speed along each rigid motion, all drives at rated voltage.
 
     A rigid motion stretches no belt; on an H-frame, these are the motions along x and along y. The values, by
     name of the leading coordinate, show whether a description of a machine is plausible, for example whether

@@ -15,8 +15,8 @@ class SensedQuantity:
     Attributes:
         component: Kind of the components that `Sensor.row` names.
         jumps: Whether it jumps with the voltage, and is therefore that under the voltage before the sample.
-        is_force: Whether it is a force, or proportional to one by a parameter that is not refitted. Only such a
-            measurement determines forces and masses themselves; motion determines their ratios.
+        is_force: Whether it is a force, or proportional to one by a parameter that is not refitted. Only such
+            a measurement determines forces and masses themselves; motion determines their ratios.
     """
 
     component: Literal["coordinate", "drive", "belt"] = "coordinate"

@@ -20,17 +20,19 @@ from .sensed_quantities import SensorQuantity
 class SensorKind:
     """Base class of sensor kinds, such as encoders: what a sensor measures, as a formula of the motion.
 
-    A kind is a subclass that registers itself with `@SENSOR_KINDS.register("name")`. Kinds are never instantiated.
-    Simulation, linearization, state estimation, environments, identification and checks all read the formula `signal`.
+    A kind is a subclass that registers itself with `@SENSOR_KINDS.register("name")`. Kinds are never
+    instantiated. Simulation, linearization, state estimation, environments, identification and checks all
+    read the formula `signal`.
 
     Attributes:
-        incremental: Whether the sensor counts increments from its position at power-on. Its zero is then unknown, and
-            elastic belts may lie between it and the tool.
-        has_offset: Whether the measurements have an unknown constant offset, as those of an accelerometer do, which
-            also feels gravity. Comparisons with a simulation then ignore the mean of the difference.
-        turn: Size of the range after which the measurement begins anew, in the channel's unit; None if it does not.
-        unit: Unit of the measurement, if it is not that of the quantity: V for the generator of a tachometer, whose
-            coefficients in `Sensor.row` are in V per rad/s.
+        incremental: Whether the sensor counts increments from its position at power-on. Its zero is then
+            unknown, and elastic belts may lie between it and the tool.
+        has_offset: Whether the measurements have an unknown constant offset, as those of an accelerometer do,
+            which also feels gravity. Comparisons with a simulation then ignore the mean of the difference.
+        turn: Size of the range after which the measurement begins anew, in the channel's unit; None if it
+            does not.
+        unit: Unit of the measurement, if it is not that of the quantity: V for the generator of a tachometer,
+            whose coefficients in `Sensor.row` are in V per rad/s.
     """
 
     incremental: ClassVar[bool] = False
@@ -40,14 +42,15 @@ class SensorKind:
 
     @staticmethod
     def signal(position: Any) -> Any:
-        """Compute the ideal measurement (without noise and rounding) from the quantity that the sensor responds to.
+        """Compute the ideal measurement (without noise and rounding) from the sensor's quantity.
 
-        The name of the argument selects the quantity: "position", "speed" or "acceleration" is the sum of the sensor's
-        coefficients (`Sensor.row`) times those of the coordinates (m, rad; per second; per second squared); "current"
-        is the sum of coefficients times the currents of the drives, A, and "tension" that of coefficients times the
-        tensions of the belts beyond their pretension, N. A formula uses the operators + - * / and abs. A constant
-        factor belongs in the coefficients, by which initial states and observers divide: they take the slope of the
-        formula for 1. What bends it is better an effect of the sensor, whose parameters can be identified.
+        The name of the argument selects the quantity: "position", "speed" or "acceleration" is the sum of the
+        sensor's coefficients (`Sensor.row`) times those of the coordinates (m, rad; per second; per second
+        squared); "current" is the sum of coefficients times the currents of the drives, A, and "tension" that
+        of coefficients times the tensions of the belts beyond their pretension, N. A formula uses the
+        operators + - * / and abs. A constant factor belongs in the coefficients, by which initial states and
+        observers divide: they take the slope of the formula for 1. What bends it is better an effect of the
+        sensor, whose parameters can be identified.
 
         Args:
             position: The quantity: float, array of any shape or symbolic expression.
@@ -59,12 +62,12 @@ class SensorKind:
 
     @classmethod
     def quantity(cls) -> SensorQuantity:
-        """Return the quantity to which the kind responds, the argument of `signal`; a ValueError if it is none."""
+        """Return the quantity to which the kind responds, the argument of `signal`; ValueError for none."""
         return _quantity_of(cls.signal)
 
     @classmethod
     def has_direction(cls) -> bool:
-        """Return whether a motion and its reverse have different ideal measurements; absolute values are the same."""
+        """Return whether a motion and its reverse have different ideal measurements; absolute ones agree."""
         return bool(cls.signal(-1.0) != cls.signal(1.0))
 
     @staticmethod
@@ -135,7 +138,7 @@ class UnsignedSpeedSensor(SensorKind):
 
 @SENSOR_KINDS.register("acceleration")
 class AccelerationSensor(SensorKind):
-    """An accelerometer on a carriage, such as an ADXL345, in m/s^2 or rad/s^2; its offset and gravity are unknown.
+    """An accelerometer on a carriage, such as an ADXL345, m/s^2 or rad/s^2; offset and gravity are unknown.
 
     It measures the acceleration just before the sample, under the voltages that have acted until then.
     """
@@ -150,7 +153,7 @@ class AccelerationSensor(SensorKind):
 
 @SENSOR_KINDS.register("current")
 class CurrentSensor(SensorKind):
-    """The measured current of a drive, A, just before the sample, under the voltages that have acted until then."""
+    """The measured current of a drive, A, just before the sample, under the voltages until then."""
 
     @staticmethod
     @override
@@ -160,7 +163,7 @@ class CurrentSensor(SensorKind):
 
 @SENSOR_KINDS.register("belt-force")
 class BeltForceSensor(SensorKind):
-    """A load cell at a pulley or a strain gauge on a clamp: the tension of a belt, N; the pretension is unknown."""
+    """A load cell at a pulley or strain gauge on a clamp: a belt's tension, N; the pretension is unknown."""
 
     has_offset = True
 

@@ -1,8 +1,8 @@
-"""Plan views of stages: rails, bridge, pulleys and the path of the belts, for pictures of a machine from above.
+"""Plan views of stages: rails, bridge, pulleys and the belts' path, for pictures of a machine from above.
 
-Points are (x, y) in m along the axes of the tool. Which axis the bridge moves along follows from the masses: the bridge
-carries the carriage, so that the mass of its axis is larger. Sizes that a machine.json does not declare (frame, bridge,
-pulleys) are chosen for a readable picture.
+Points are (x, y) in m along the axes of the tool. Which axis the bridge moves along follows from the masses:
+the bridge carries the carriage, so that the mass of its axis is larger. Sizes that a machine.json does not
+declare (frame, bridge, pulleys) are chosen for a readable picture.
 """
 
 from __future__ import annotations
@@ -33,20 +33,22 @@ LUMPED_SECTIONS = {"left": ("s1", "s5", "s7"), "right": ("s2", "s6", "s8"), "bot
 
 
 class StageGeometry:
-    """Plan view of a stage without belts: two rails, a bridge and a carriage. Stages with belts derive from it.
+    """Plan view of a stage without belts: two rails, a bridge, a carriage. Those with belts derive from it.
 
     Args:
         workspace: Rows x and y, columns low and high, m, shape (2, 2).
-        bridge_axis: Axis along which the bridge moves, 0 (x) or 1 (y). None: a single axis along x without a bridge.
+        bridge_axis: Axis along which the bridge moves, 0 (x) or 1 (y). None: a single axis along x without a
+            bridge.
 
     Attributes:
-        left, right, low, high: Ends of the workspace, m: `left` and `right` along x, `low` and `high` along y.
+        left, right, low, high: Ends of the workspace, m: `left` and `right` along x, `low` and `high` along
+            y.
         x0, x1, y0, y1: Smallest and largest x and y of the rails and of the corner pulleys, m.
         radius: Radius of the pulleys, m.
-        motors: For each drive, index of its pulley in the result of `pulleys`, and the direction in which a positive
-            angle turns it: 1 counterclockwise, -1 clockwise.
-        belts: Name of the belt of the machine that each drawn section belongs to, by name of the section (`sections`).
-            Sections that cannot be assigned to one belt have no entry.
+        motors: For each drive, index of its pulley in the result of `pulleys`, and the direction in which a
+            positive angle turns it: 1 counterclockwise, -1 clockwise.
+        belts: Name of the belt of the machine that each drawn section belongs to, by name of the section
+            (`sections`). Sections that cannot be assigned to one belt have no entry.
     """
 
     radius = PULLEY_RADIUS
@@ -75,7 +77,7 @@ class StageGeometry:
         return (point[1], point[0]) if self.bridge_axis == self._swapped_axis else point
 
     def rails(self) -> list[Box]:
-        """Compute the rectangles of two rails, or one for a single axis: (x, y) of two opposite corners, m."""
+        """Compute the rectangles of two rails, or one if one axis: (x, y) of two opposite corners, m."""
         if self.bridge_axis is None:
             return [(self.x0 - 0.03, -0.03, self.x1 + 0.03, 0.03)]
         if self.bridge_axis == 0:
@@ -131,7 +133,7 @@ class DialGeometry(StageGeometry):
 
 
 def drawn_point(unit: AxisUnit, position: Sequence[float]) -> Point:
-    """Return the point at which a drawing shows the tool: (x, 0) with one linear axis, the end of an arm with a rotary.
+    """Return the point at which a drawing shows the tool: (x, 0) of a linear axis, or an arm's end.
 
     Two rotary axes are drawn like x and y, with 0.1 m for a rad.
 
@@ -150,8 +152,8 @@ def position_of_point(unit: AxisUnit, point: Point, near: Sequence[float]) -> tu
 
     Args:
         point: Point (x, y), m.
-        near: Tool position along one or two axes, m or rad. Of the angles of a rotary axis that differ by turns, the
-            one nearest to it is returned.
+        near: Tool position along one or two axes, m or rad. Of the angles of a rotary axis that differ by
+            turns, the one nearest to it is returned.
     """
     if unit is not RADIANS:
         return point[: len(near)]
@@ -164,13 +166,14 @@ def position_of_point(unit: AxisUnit, point: Point, near: Sequence[float]) -> tu
 class BeltGeometry(StageGeometry):
     """Plan view of an H-frame: where the pulleys are, and the path of the belt around them.
 
-    The path follows the sections of the 20th-order model (eq. 25-34 of Sollmann et al. 2010). From the cart, the belt
-    runs down the left side of the bridge, out to the left corner pulley, along the frame to the right one (a motor),
-    back to the bridge, and up its right side. The upper half is the mirror image.
+    The path follows the sections of the 20th-order model (eq. 25-34 of Sollmann et al. 2010). From the cart,
+    the belt runs down the left side of the bridge, out to the left corner pulley, along the frame to the
+    right one (a motor), back to the bridge, and up its right side. The upper half is the mirror image.
 
     Args:
         workspace: Rows x and y, columns low and high, m, shape (2, 2).
-        machine: Machine whose belts are assigned to the drawn sections (attribute `belts`). None: none is assigned.
+        machine: Machine whose belts are assigned to the drawn sections (attribute `belts`). None: none is
+            assigned.
         bridge_axis: Axis along which the bridge moves, 0 (x) or 1 (y).
     """
 
@@ -186,7 +189,8 @@ class BeltGeometry(StageGeometry):
             self._swap((self.x0, self.y0)),
             self._swap((self.x1, self.y1)),
         )
-        # From above, with the belt as drawn, a positive angle turns both motors counterclockwise where u is x.
+        # From above, with the belt as drawn, a positive angle turns both motors counterclockwise where u is
+        # x.
         turn = 1.0 if bridge_axis == 0 else -1.0
         self.motors = ((1, turn), (3, turn))
         names = {b.name for b in machine.belts} if machine else set()
@@ -196,7 +200,7 @@ class BeltGeometry(StageGeometry):
 
     @override
     def pulleys(self, x: float, y: float = 0.0) -> list[Point]:
-        """Return the pulleys phi3, phi1 (motor), phi4, phi2 (motor), phi7, phi5, phi8, phi6, in this order."""
+        """Return pulleys phi3, phi1 (motor), phi4, phi2 (motor), phi7, phi5, phi8, phi6, in this order."""
         return [self._swap(point) for point in self._pulleys(self._swap((x, y))[0])]
 
     def _pulleys(self, bridge: float) -> list[Point]:
@@ -213,8 +217,8 @@ class BeltGeometry(StageGeometry):
         """Return the nine belt sections of an H-frame, "s1" to "s9" as in the 20th-order model."""
         x, y = self._swap((x, y))
         phi3, phi1, phi4, phi2, phi7, phi5, phi8, phi6 = self._pulleys(x)  # centers
-        # Each section is a straight line, which touches the pulleys at a distance r from their centers, and the arc
-        # around the pulley at its end.
+        # Each section is a straight line, which touches the pulleys at a distance r from their centers, and
+        # the arc around the pulley at its end.
         half, side, r = HALF_PI, HALF_BRIDGE, PULLEY_RADIUS
         lines = {
             "s7": [(x - side, y), (x - side, phi7[1]), *_arc(phi7, 0.0, -half)],
@@ -307,7 +311,7 @@ class CoreXYGeometry(StageGeometry):
         return {name: [self._swap(point) for point in line] for name, line in lines.items()}
 
     def _pulleys(self, bridge: float) -> list[Point]:
-        """Return the pulleys for a position of the bridge, along the bridge (left, right) and along its motion, m."""
+        """Return the pulleys for a position of the bridge, along it (left, right) and its motion, m."""
         (left, front), (right, rear) = self._swap((self.x0, self.y0)), self._swap((self.x1, self.y1))
         gap = 2 * self.radius
         inner = rear - 1.75 * gap  # the second belt runs inside the first one at the rear, where they cross
@@ -332,9 +336,9 @@ def stage_geometry(machine: Machine) -> StageGeometry:
     """Choose how to draw a machine from above (plan view) by its kinematics; names of belts do not matter.
 
     Returns:
-        `BeltGeometry` for an H-frame (one belt around both motors), `CoreXYGeometry` for a CoreXY stage (a belt for
-        each motor), a `DialGeometry` for a rotary axis, else a `StageGeometry` without belts. An axis without a range
-        is drawn from -0.25 m to 0.25 m.
+        `BeltGeometry` for an H-frame (one belt around both motors), `CoreXYGeometry` for a CoreXY stage (a
+        belt for each motor), a `DialGeometry` for a rotary axis, else a `StageGeometry` without belts. An
+        axis without a range is drawn from -0.25 m to 0.25 m.
 
     Raises:
         ValueError: If the machine has no tool axes.
@@ -360,7 +364,7 @@ def stage_geometry(machine: Machine) -> StageGeometry:
 
 
 def _belt_travel(machine: Machine) -> NDArray[np.float64] | None:
-    """Return the belt travel at both drives per travel along x and y, (2, 2), or None if it is not 1 or -1."""
+    """Return belt travel at both drives per travel along x and y, (2, 2), or None if it is not 1 or -1."""
     motions = rigid_motions(machine)
     drives, axes = [machine.coordinate(d.coordinate) for d in machine.drives], machine.tool_axes
     if len(drives) != 2 or not set(axes) <= set(motions) or any(d.kind == "linear" for d in drives):

@@ -1,8 +1,8 @@
 """Map a function over inputs in this process, in local processes, or on a Ray cluster, with the same results.
 
-A task is one call of the function, on one core. If its worker process ends unexpectedly (killed, out of memory, a lost
-node), another one repeats the task from the beginning. The calling program receives every result exactly once and
-writes all files; workers write no common files.
+A task is one call of the function, on one core. If its worker process ends unexpectedly (killed, out of
+memory, a lost node), another one repeats the task from the beginning. The calling program receives every
+result exactly once and writes all files; workers write no common files.
 """
 
 from __future__ import annotations
@@ -25,28 +25,29 @@ def map_tasks(
     ray: str | None = None,
     completed: Callable[[int, Result], None] | None = None,
 ) -> Iterator[Result]:
-    """Call a function for every input, possibly in parallel, and yield the results in the order of the inputs.
+    """Call a function for each input, possibly in parallel, and yield the results in the order of the inputs.
 
-    If the worker process of a task ends unexpectedly, the task starts again, up to three attempts in total. The
-    function must depend on its input alone and write no files, so that a repetition gives the same result.
+    If the worker process of a task ends unexpectedly, the task starts again, up to three attempts in total.
+    The function must depend on its input alone and write no files, so that a repetition gives the same
+    result.
 
     Args:
-        function: Function of one input. For jobs > 1 or with `ray` it must be picklable: a function of a module, for
-            example, or a `functools.partial` of one.
+        function: Function of one input. For jobs > 1 or with `ray` it must be picklable: a function of a
+            module, for example, or a `functools.partial` of one.
         items: Inputs of the function, one per call; for jobs > 1 or with `ray` they must be picklable, too.
-        jobs: Number of local worker processes; with 1, the function runs in this process. With ray="local": number of
-            cores that Ray uses, where 1 means all. Ignored for a Ray cluster.
-        ray: None for local processes; "local" to start Ray on this machine; "auto" for the running cluster that
-            this machine belongs to; or "HOST:PORT" of a cluster's head node.
-        completed: Called with the index of an input and its result as soon as the result is available, for example to
-            write it to a file. The calls come in any order, one at a time.
+        jobs: Number of local worker processes; with 1, the function runs in this process. With ray="local":
+            number of cores that Ray uses, where 1 means all. Ignored for a Ray cluster.
+        ray: None for local processes; "local" to start Ray on this machine; "auto" for the running cluster
+            that this machine belongs to; or "HOST:PORT" of a cluster's head node.
+        completed: Called with the index of an input and its result as soon as the result is available, for
+            example to write it to a file. The calls come in any order, one at a time.
 
     Yields:
         Result of each input, in the order of the inputs.
 
     Raises:
-        InputError: If the cluster cannot be reached, a worker has another version of this package, or the worker of a
-            task ended in all attempts.
+        InputError: If the cluster cannot be reached, a worker has another version of this package, or the
+            worker of a task ended in all attempts.
         ImportError: If Ray is requested and not installed; the message says how to install it.
         Exception: Any exception that the function raises. Other running tasks are then stopped.
     """

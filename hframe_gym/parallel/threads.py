@@ -41,8 +41,8 @@ _LIMIT = _Limit()
 def single_threaded_linear_algebra() -> Iterator[None]:
     """Limit the linear algebra libraries of NumPy and SciPy to one thread, as a context or a decorator.
 
-    More threads change the order of sums, and with it the last bits of results. Within another such context, it takes
-    no time.
+    More threads change the order of sums, and with it the last bits of results. Within another such context,
+    it takes no time.
     """
     _LIMIT.begin()
     try:
@@ -53,7 +53,7 @@ def single_threaded_linear_algebra() -> Iterator[None]:
 
 @lru_cache(maxsize=1)
 def _linear_algebra_threads() -> ThreadpoolController:
-    """Return the control of the threads; finding the libraries, which must be loaded before, takes milliseconds."""
+    """Return the control of the threads; finding the libraries, loaded before, takes milliseconds."""
     import scipy.linalg  # noqa: F401  # has a library of its own
     from threadpoolctl import ThreadpoolController
 

@@ -1,4 +1,4 @@
-"""A task in its worker process, on any backend: one thread, and the version and settings of the calling program."""
+"""A task in its worker process, on any backend: one thread, and the caller's version and settings."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from ..errors import InputError
 from ..version import __version__
 
 ATTEMPTS = 3  # of a task whose worker dies
-# One thread per worker, so that workers do not compete for cores. The results do not depend on the number of threads.
+# One thread per worker, so that workers do not compete for cores. The results do not depend on the number of
+# threads.
 _ONE_THREAD = dict.fromkeys(
     ("HFRAME_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
 )
@@ -36,5 +37,5 @@ def run_task(
 
 
 def task_settings() -> dict[str, str]:
-    """Return the environment variables of a worker: those of this package as they are here, and one thread."""
+    """Return the environment variables of a worker: those of this package as here, and one thread."""
     return {k: v for k, v in os.environ.items() if k.startswith("HFRAME_")} | _ONE_THREAD

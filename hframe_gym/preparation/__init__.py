@@ -1,1 +1,1 @@
-"""Recordings prepared for a fit: gaps, initial states, and the sensors' zeros, noise, quantum, clock and range."""
+"""Recordings prepared for a fit: gaps, initial states, sensors' zeros, noise, quantum, clock, range."""

@@ -1,8 +1,8 @@
 """Stretch of the belts when a run begins: at rest by forces and friction, in motion by the drives.
 
-Encoders on pulleys measure the stretch in addition to the motion of the carriages. Forces of effects, such as cables,
-stretch the belts by an amount that a machine predicts. What static friction holds beyond that differs from run to run,
-and only its typical size is known.
+Encoders on pulleys measure the stretch in addition to the motion of the carriages. Forces of effects, such as
+cables, stretch the belts by an amount that a machine predicts. What static friction holds beyond that differs
+from run to run, and only its typical size is known.
 """
 
 from __future__ import annotations
@@ -18,8 +18,9 @@ from ..arrays import Array
 from ..dynamics import effect_forces, stiffness_matrix
 from ..machine import Machine, pulley_names, rest_state
 
-# Torques that typically stretch the belts: at rest, the part of the motors' Coulomb friction that a decaying vibration
-# leaves; in motion, the part of the torque at rated voltage that does not accelerate the motors or overcome back-EMF.
+# Torques that typically stretch the belts: at rest, the part of the motors' Coulomb friction that a decaying
+# vibration leaves; in motion, the part of the torque at rated voltage that does not accelerate the motors or
+# overcome back-EMF.
 _HELD_FRICTION, _MOVING_TORQUE = 0.2, 0.25
 _SMALLEST_ANGLE = 1e-6  # rad; a motor that is declared without friction still has some
 
@@ -40,7 +41,8 @@ def rigid_basis(machine: Machine) -> Array:
         machine: Machine with coordinates and belts.
 
     Returns:
-        Displacements of the coordinates, m or rad, one rigid motion per column, shape (coordinates, rigid motions).
+        Displacements of the coordinates, m or rad, one rigid motion per column,
+        shape (coordinates, rigid motions).
     """
     if not machine.belts:
         held = np.isin(machine.coordinate_names, machine.spring_loaded)
@@ -58,18 +60,21 @@ def _unstretched_travel(constraints: tuple[tuple[float, ...], ...]) -> Array:
 
 
 def static_equilibrium(machine: Machine, positions: Array) -> Array:
-    """Compute the angles of the pulleys at rest, where forces may stretch the belts, for given carriage positions.
+    """Compute the pulleys' angles at rest, where forces may stretch the belts, by carriage positions.
 
-    Effects such as cables and tilt exert forces at rest. Static friction carries such a force up to the Coulomb level.
-    A larger force has displaced the carriage, which is assumed to rest at the far end of its first swing: there the
-    belts carry twice the force in excess of the Coulomb level, but at most the entire force.
+    Effects such as cables and tilt exert forces at rest. Static friction carries such a force up to the
+    Coulomb level. A larger force has displaced the carriage, which is assumed to rest at the far end of its
+    first swing: there the belts carry twice the force in excess of the Coulomb level, but at most the entire
+    force.
 
     Args:
-        positions: Positions in one or several runs, m or rad, shape (..., coordinates); only linear coordinates
-            (carriages) are used. Coordinates that structural effects added, the last ones, may be missing.
+        positions: Positions in one or several runs, m or rad, shape (..., coordinates); only linear
+            coordinates (carriages) are used. Coordinates that structural effects added, the last ones, may be
+            missing.
 
     Returns:
-        Positions of all coordinates, m or rad, shape (..., coordinates); for the carriages, those in `positions`.
+        Positions of all coordinates, m or rad, shape (..., coordinates); for the carriages, those in
+        `positions`.
     """
     names = machine.coordinate_names
     linear, pulleys = linear_coordinates(machine), np.isin(names, pulley_names(machine))
@@ -90,7 +95,7 @@ def static_equilibrium(machine: Machine, positions: Array) -> Array:
 
 
 def _forces_at_rest(machine: Machine, positions: Array) -> Array:
-    """Return the force of the effects on each coordinate of a machine at rest, N or Nm, shape (runs, coordinates)."""
+    """Return the effects' force on each coordinate at rest, N or Nm, shape (runs, coordinates)."""
     motion = np.repeat(positions[:, None], 2, axis=1)  # two equal samples of each run
     inputs = np.zeros((2, len(machine.drives)))
     forces = effect_forces(machine, np.array([0.0, 1e-3]), motion, np.zeros_like(motion), inputs)
@@ -100,8 +105,8 @@ def _forces_at_rest(machine: Machine, positions: Array) -> Array:
 def max_held_angle(machine: Machine) -> Array:
     """Return how far static friction can hold each pulley away from its angle with unstretched belts.
 
-    This is a generous estimate: 2 F / (k r) with the Coulomb friction F of all coordinates together, as a force at the
-    belt, the mean stiffness k of the belts and the radius r of the pulley.
+    This is a generous estimate: 2 F / (k r) with the Coulomb friction F of all coordinates together, as a
+    force at the belt, the mean stiffness k of the belts and the radius r of the pulley.
 
     Args:
         machine: Machine with belts.
@@ -119,13 +124,13 @@ def max_held_angle(machine: Machine) -> Array:
 def stretch_angles(machine: Machine, *, moving: bool) -> dict[str, float]:
     """Return the angle by which the stretch of the belts typically turns each pulley at the start of a run.
 
-    The angle is 0 with unstretched belts. The result serves as the standard deviation of the unknown initial angle. It
-    is a typical torque divided by the rotational stiffness of the belts at the pulley.
+    The angle is 0 with unstretched belts. The result serves as the standard deviation of the unknown initial
+    angle. It is a typical torque divided by the rotational stiffness of the belts at the pulley.
 
     Args:
         machine: Machine; without belts the result is empty.
-        moving: False for a run that begins at rest: the torque is 20 % of the pulley's Coulomb friction. True for one
-            that begins in motion: 25 % of the drive's torque at rated voltage is added.
+        moving: False for a run that begins at rest: the torque is 20 % of the pulley's Coulomb friction. True
+            for one that begins in motion: 25 % of the drive's torque at rated voltage is added.
 
     Returns:
         Angle, rad, at least 1e-6, by name of each pulley with a sensor; without `Machine.spring_loaded`.
@@ -140,7 +145,7 @@ def stretch_angles(machine: Machine, *, moving: bool) -> dict[str, float]:
 
 
 def vibration_speeds(machine: Machine) -> dict[str, float]:
-    """Return the speed amplitude of each pulley's typical vibration against the belts while the machine moves.
+    """Return speed amplitudes of each pulley's typical vibration against the belts while the machine moves.
 
     It is the standard deviation of the pulley's unknown velocity at the start of a run that begins in motion.
 
@@ -148,8 +153,9 @@ def vibration_speeds(machine: Machine) -> dict[str, float]:
         machine: Machine; without belts the result is empty.
 
     Returns:
-        Speed, rad/s, by name of each pulley with a sensor: the angle `stretch_angles(machine, moving=True)`, rad, times
-        the natural angular frequency of the pulley on its belts, 1/s. Without `Machine.spring_loaded`.
+        Speed, rad/s, by name of each pulley with a sensor: the angle `stretch_angles(machine, moving=True)`,
+        rad, times the natural angular frequency of the pulley on its belts, 1/s. Without
+        `Machine.spring_loaded`.
     """
     angles = stretch_angles(machine, moving=True)
     return {
@@ -159,7 +165,7 @@ def vibration_speeds(machine: Machine) -> dict[str, float]:
 
 
 def _pulley_stiffness(machine: Machine) -> dict[str, float]:
-    """Return the torque per angle, Nm/rad, by name of each pulley with a sensor; carriages and other motors are held.
+    """Return the torque per angle, Nm/rad, by pulley with a sensor; carriages and other motors are held.
 
     Pulleys without a sensor (idlers) turn with the belt, so that its division into sections does not matter.
     """

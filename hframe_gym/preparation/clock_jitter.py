@@ -1,4 +1,4 @@
-"""Estimate the jitter of the clock: random errors of the sampling times, which are errors of measurements in motion."""
+"""Estimate the jitter of the clock: random errors of sampling times, which falsify measurements in motion."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from scipy.signal import savgol_filter
 from ..arrays import Array
 
 _SPEED_ROWS, MIN_JITTER_ROWS = 11, 50  # samples that a speed is computed from; measured rows of a run
-# Largest jitter, in sampling periods. Times that err uniformly over a whole period have a standard deviation of 0.29;
-# much larger errors would exchange the order of the samples. What looks like more has another cause, such as a sensor
-# that is slower than the log, and must not be taken for noise.
+# Largest jitter, in sampling periods. Times that err uniformly over a whole period have a standard deviation
+# of 0.29; much larger errors would exchange the order of the samples. What looks like more has another cause,
+# such as a sensor that is slower than the log, and must not be taken for noise.
 _LARGEST_JITTER = 0.5
 # Variance of fifth differences of white noise with variance 1: the sum of the squared binomial coefficients.
 _FIFTH_DIFFERENCE_VARIANCE = 252.0
 
 
 def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float) -> float:
-    """Estimate the jitter of the clock, the random error of the sampling times, from a channel during fast motion.
+    """Estimate the jitter of the clock, random errors of sampling times, from a channel during fast motion.
 
-    A measurement that is late by dt has an error of dt * speed. During fast motion, the standard deviation s of the
-    measurements is therefore given by s^2 = noise^2 + jitter^2 * speed^2. s is computed from fifth differences, which
-    smooth motion hardly changes. Only the fastest quarter of the rows is used. Rows in which the sensor moves by less
-    than sqrt(12) * noise per row are left out, because rounding errors of successive measurements then depend on each
-    other.
+    A measurement that is late by dt has an error of dt * speed. During fast motion, the standard deviation s
+    of the measurements is therefore given by s^2 = noise^2 + jitter^2 * speed^2. s is computed from fifth
+    differences, which smooth motion hardly changes. Only the fastest quarter of the rows is used. Rows in
+    which the sensor moves by less than sqrt(12) * noise per row are left out, because rounding errors of
+    successive measurements then depend on each other.
 
     Args:
         times: Sample times by run, s, shape (n,) each.
@@ -34,8 +34,9 @@ def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float)
         noise: Standard deviation of the sensor's noise at rest, m or rad.
 
     Returns:
-        Standard deviation of the sampling time, s. 0 if there are no fast rows or no run of 50 measurements, if s^2 is
-        at most 2 * noise^2, because vibrations may cause such a value, or if it would exceed half a sampling period.
+        Standard deviation of the sampling time, s. 0 if there are no fast rows or no run of 50 measurements,
+        if s^2 is at most 2 * noise^2, because vibrations may cause such a value, or if it would exceed half a
+        sampling period.
     """
     squares, speeds, travels = [], [], []
     for time_s, values in zip(times, channel, strict=True):
@@ -72,8 +73,8 @@ def noise_by_row(time_s: Array, outputs: Array, noise: Array, jitter: float) -> 
         jitter: Standard deviation of the sampling time, s.
 
     Returns:
-        sqrt(noise^2 + (jitter * speed)^2), in the sensors' units, shape (n, sensors). The speed of a sensor is the
-        slope of a parabola over 11 of its measurements.
+        sqrt(noise^2 + (jitter * speed)^2), in the sensors' units, shape (n, sensors). The speed of a sensor
+        is the slope of a parabola over 11 of its measurements.
     """
     by_row = np.tile(noise, (len(time_s), 1))
     for j, values in enumerate(outputs.T):

@@ -1,18 +1,18 @@
 """What the jitter of a controller's clock does to the voltages of a slow log.
 
-A controller that reads a moving sensor late finds it farther on, and brakes; reading early, it drives. A late voltage
-also ends sooner than usual, and an early one lasts longer, because the next one comes at its own time. The braking
-voltages are therefore the shorter ones, and on average the drive gets a voltage in the direction of its motion. Rows
-that contain all voltages show it. Between the rows of a slow log, interpolation does not know it, and a fit takes it
-for a smaller back-EMF: 117 us in steps of 1 ms change that of a stage by 2 %, which left 20 times the noise in the
-runs of another controller.
+A controller that reads a moving sensor late finds it farther on, and brakes; reading early, it drives. A late
+voltage also ends sooner than usual, and an early one lasts longer, because the next one comes at its own
+time. The braking voltages are therefore the shorter ones, and on average the drive gets a voltage in the
+direction of its motion. Rows that contain all voltages show it. Between the rows of a slow log, interpolation
+does not know it, and a fit takes it for a smaller back-EMF: 117 us in steps of 1 ms change that of a stage by
+2 %, which left 20 times the noise in the runs of another controller.
 
-The voltage of a row also answers the jitter of that row. Interpolation spreads this answer over the rows beside, while
-the controller took it back one of its periods later: it is removed before voltages are interpolated, and acts from the
-row until the voltage changes.
+The voltage of a row also answers the jitter of that row. Interpolation spreads this answer over the rows
+beside, while the controller took it back one of its periods later: it is removed before voltages are
+interpolated, and acts from the row until the voltage changes.
 
-The log contains all that is needed: the jitter in its stamps, the speeds, and the answer, volts per angle or length, in
-the voltages of its rows, which vary with stamp times speed.
+The log contains all that is needed: the jitter in its stamps, the speeds, and the answer, volts per angle or
+length, in the voltages of its rows, which vary with stamp times speed.
 """
 
 from __future__ import annotations
@@ -31,13 +31,15 @@ _DIFFERENCES = 3  # order; a motion hardly has third differences from row to row
 _VARIANCE_OF_DIFFERENCES = 20.0  # of third differences of independent values over their own: 1 + 9 + 9 + 1
 _SPEED_ROWS = 9  # of the cubic whose slope is the speed; the speed of a stage changes more slowly
 _MIN_ROWS = 100  # of changing voltages; they tell an answer within a few percent
-# Robust standard deviations beyond which a third difference is a jump of the program or a gap, and rounds until the
-# rows that are left no longer change.
+# Robust standard deviations beyond which a third difference is a jump of the program or a gap, and rounds
+# until the rows that are left no longer change.
 _JUMP, _ROUNDS = 4.0, 10
-# Rows of the cubic that stands for a regular clock: it follows a clock that drifts, and 2 % of the variance of jitter.
+# Rows of the cubic that stands for a regular clock: it follows a clock that drifts, and 2 % of the variance
+# of jitter.
 _CLOCK_ROWS = 99
 _WANDERS = 2.0  # variance of the stamps around it / that of jitter, beyond which the steps are not regular
-# Equal steps scatter by 0.3 of the spacing of floating-point numbers; more than this multiple of it is jitter.
+# Equal steps scatter by 0.3 of the spacing of floating-point numbers; more than this multiple of it is
+# jitter.
 _ROUNDING = 4.0
 
 
@@ -45,9 +47,10 @@ class ClockVoltages(NamedTuple):
     """What the jitter of a controller's clock does to the voltages of a run of n rows.
 
     Attributes:
-        impulses: What jitter adds, on average, to the time integral of a voltage from one change to the next, V s,
+        impulses: What jitter adds, on average, to the time integral of a voltage from one change to the next,
+            V s, shape (n, drives).
+        answers: What the voltage of a row has in it because this row was read late or early, V,
             shape (n, drives).
-        answers: What the voltage of a row has in it because this row was read late or early, V, shape (n, drives).
     """
 
     impulses: Array
@@ -61,8 +64,8 @@ class ClockVoltages(NamedTuple):
 def clock_voltages(time_s: Array, inputs: Array, outputs: Array) -> ClockVoltages:
     """Return what jitter does to the voltages.
 
-    Reading late by d, the controller answers with h * speed * d, and this voltage lasts shorter by d: the mean of the
-    product is -h * speed * variance of d.
+    Reading late by d, the controller answers with h * speed * d, and this voltage lasts shorter by d: the
+    mean of the product is -h * speed * variance of d.
 
     Args:
         time_s: Times of the rows as stamped, s, shape (n,).
@@ -122,10 +125,10 @@ def updated_inputs_of_clock(
 
 
 def with_clock_voltages(inputs: Array, voltages: ClockVoltages, time_s: Array, updates: int) -> Array:
-    """Return voltages of rows that, interpolated between the rows, are those of a controller whose clock jitters.
+    """Return rows' voltages that, interpolated between rows, are those of a controller whose clock jitters.
 
-    They lack the answers to the jitter of the rows. Of n changes a row, each adds its impulse. With the answer of the
-    row, the times from its stamp to the next one already contain 1 / n of one impulse.
+    They lack the answers to the jitter of the rows. Of n changes a row, each adds its impulse. With the
+    answer of the row, the times from its stamp to the next one already contain 1 / n of one impulse.
 
     Args:
         inputs: Voltages in the rows, V, shape (..., n, drives).
@@ -144,7 +147,7 @@ def with_clock_voltages(inputs: Array, voltages: ClockVoltages, time_s: Array, u
 
 
 def _lateness(time_s: Array, variance: float) -> Array:
-    """Return by how much each row was read later than a regular clock says, s, shape (n,); 0 where there is none."""
+    """Return how much later each row was read than a regular clock says, s, shape (n,); 0 without."""
     late = np.asarray(time_s - savgol_filter(time_s, _CLOCK_ROWS, 3))
     late[np.abs(late) > _JUMP * np.sqrt(variance)] = 0.0  # a gap is no jitter
     regular = np.mean(late**2) <= _WANDERS * variance

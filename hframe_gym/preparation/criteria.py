@@ -11,14 +11,14 @@ class SaturationCriteria:
     """Thresholds by which saturated measurements are recognized; those of `identify` extend them.
 
     Attributes:
-        min_saturated_fraction: Smallest fraction of all rows near a sensor's largest (or smallest) measurement at which
-            the sensor may have reached the end of its range there.
+        min_saturated_fraction: Smallest fraction of all rows near a sensor's largest (or smallest)
+            measurement at which the sensor may have reached the end of its range there.
         second_end_factor: If a sensor saturates at one end, factor that reduces `min_saturated_fraction` and
             `min_saturated_travel` for its other end.
-        saturation_band: Distance from the largest (or smallest) measurement that counts as near it, in standard
-            deviations of the noise.
-        min_saturated_travel: Smallest distance that the encoders must measure in these rows for the sensor to be
-            saturated, in standard deviations of its noise. It is more than belts can stretch.
+        saturation_band: Distance from the largest (or smallest) measurement that counts as near it, in
+            standard deviations of the noise.
+        min_saturated_travel: Smallest distance that the encoders must measure in these rows for the sensor to
+            be saturated, in standard deviations of its noise. It is more than belts can stretch.
     """
 
     min_saturated_fraction: float = 0.01
@@ -45,6 +45,7 @@ class SaturationCriteria:
         """Convert the thresholds to a dictionary, which report.json contains as `criteria`.
 
         Returns:
-            Value of each threshold by its attribute name, for example "min_gain_simulation"; all are dimensionless.
+            Value of each threshold by its attribute name, for example "min_gain_simulation"; all are
+            dimensionless.
         """
         return dataclasses.asdict(self)

@@ -1,7 +1,7 @@
-"""The records of runs that are prepared for a fit: measurements minus zeros, initial states, noise of the sensors.
+"""Records of runs prepared for a fit: measurements minus zeros, initial states, noise of the sensors.
 
-The zero of a sensor is its measurement at position 0. A laser has a fixed zero; that of an encoder is wherever the
-encoder was switched on, and common to all runs in which it stayed on.
+The zero of a sensor is its measurement at position 0. A laser has a fixed zero; that of an encoder is
+wherever the encoder was switched on, and common to all runs in which it stayed on.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ from .rest_measurement import InitialState
 from .sensor_zeros import max_zero_means
 
 MIN_ROWS = 20  # rows of a run that the filters of the residual need
-# Part of the intervals between rows that integration steps divide as intended; where rows were lost, they are longer.
+# Part of the intervals between rows that integration steps divide as intended; where rows were lost, they are
+# longer.
 _REGULAR = 0.95
 _SAME_STEP = 1e-6  # of a step, by which rounding may lengthen an interval; the integrator allows the same
 _STEADY_SPEED = 10.0  # times the noise or step of a sensor of speeds; an offset at standstill is smaller
@@ -88,22 +89,23 @@ class PreparedRecording:
         name: Name of the run.
         time_s: Sample times, s, shape (n,).
         inputs: Drive voltages, V, shape (n, drives).
-        outputs: Measurements minus zeros (measurements at position 0), in the sensors' units, shape (n, sensors), NaN
-            where missing.
+        outputs: Measurements minus zeros (measurements at position 0), in the sensors' units,
+            shape (n, sensors), NaN where missing.
         initial: Measured initial state.
         noise: Standard deviation of each measurement, in the sensors' units, shape (n, sensors):
             sqrt(noise^2 + (jitter * speed)^2) with the sensor's noise at rest and the jitter of the clock, s.
-        weights: Weight of each measurement in a fit, shape (n, sensors), from 0 (not measured) to 1 (independent of the
-            measurements beside it), see `independent_values`.
-        dropped: True for rows that the logger dropped; their voltages are interpolated or estimated, shape (n,).
-        observer_bandwidth: Bandwidth of the observer that corrects predictions of this run by the measurements, rad/s;
-            None: that of the prediction or fit.
-        updates: How many times the voltages change from one row to the next: more than once if the controller is faster
-            than the log. They are then interpolated between the rows (`interpolated_voltages`).
+        weights: Weight of each measurement in a fit, shape (n, sensors), from 0 (not measured) to 1
+            (independent of the measurements beside it), see `independent_values`.
+        dropped: True for rows that the logger dropped; their voltages are interpolated or estimated,
+            shape (n,).
+        observer_bandwidth: Bandwidth of the observer that corrects predictions of this run by the
+            measurements, rad/s; None: that of the prediction or fit.
+        updates: How many times the voltages change from one row to the next: more than once if the controller
+            is faster than the log. They are then interpolated between the rows (`interpolated_voltages`).
         interpolation: How they are interpolated.
         voltage_errors: What is known of the errors of interpolated voltages; None if the voltages are held.
-        clock_voltages: What the jitter of the controller's clock does to voltages that change between the rows; None:
-            nothing.
+        clock_voltages: What the jitter of the controller's clock does to voltages that change between the
+            rows; None: nothing.
     """
 
     name: str
@@ -133,7 +135,7 @@ class PreparedRecording:
 
     @property
     def count(self) -> float:
-        """Effective number of measured values in the fit, dimensionless; N repeats of a rounded value count as one."""
+        """Effective number of measured values in the fit, dimensionless; repeats of a value count as one."""
         return float(self.weights.sum())
 
     @cached_property
@@ -143,7 +145,7 @@ class PreparedRecording:
 
     @cached_property
     def fit_scales(self) -> Array:
-        """Factors that make errors of measurements residuals of a fit, sqrt(weight) / noise, shape (n, sensors)."""
+        """Factors that turn errors of measurements to residuals, sqrt(weight) / noise, shape (n, sensors)."""
         return np.asarray(np.sqrt(self.weights) / self.noise)
 
     def first_rows(self, count: int) -> PreparedRecording:
@@ -171,13 +173,14 @@ class PreparedRecording:
         )
 
     def without_clock_answers(self) -> Array:
-        """Return the voltages of the rows without the answers to the jitter of the clock, V, shape (n, drives)."""
+        """Return the rows' voltages without the answers to the clock's jitter, V, shape (n, drives)."""
         return self.inputs if self.clock_voltages is None else self.inputs - self.clock_voltages.answers
 
     def held(self, step_s: float, inputs: Array | None = None) -> HeldVoltages:
         """Return voltages that are held from one time to the next: from row to row, or between the rows too.
 
-        Voltages that change inside an integration step act by their mean over it, to second order of its length.
+        Voltages that change inside an integration step act by their mean over it, to second order of its
+        length.
 
         Args:
             step_s: Longest integration step, s.
@@ -210,15 +213,15 @@ class PreparedRecording:
     def initial_state(self, machine: Machine) -> Array:
         """Return the state from which a machine is simulated over this run.
 
-        It follows from the measurements at rest and from the machine, because effects may change what sensors measure,
-        and forces at rest stretch the belts.
+        It follows from the measurements at rest and from the machine, because effects may change what sensors
+        measure, and forces at rest stretch the belts.
 
         Args:
             machine: Machine with its effects, which may add coordinates.
 
         Returns:
-            Positions (m, rad), velocities (m/s, rad/s; zero at rest) and states of the effects (SI; zero unless
-            estimated), shape (2 * coordinates + effect states,).
+            Positions (m, rad), velocities (m/s, rad/s; zero at rest) and states of the effects (SI; zero
+            unless estimated), shape (2 * coordinates + effect states,).
         """
         return model_initial_states(machine, [self.initial])[0]
 
@@ -230,18 +233,21 @@ class Dataset:
     Attributes:
         runs: The recordings.
         noise: Standard deviations of the sensors' noise, in the sensors' units, shape (sensors,).
-        quantum: Quantization steps of the sensors, in the sensors' units, 0 where there is none, shape (sensors,).
-        behind_belts: True for sensors whose zero the rows at rest do not determine: encoders on pulleys, which elastic
-            belts separate from the tool, and sensors with an offset, shape (sensors,).
-        zeros: Zeros of the encoders that have the same one in all runs, because they stayed on. None: unknown.
-        jitter: Standard deviation of the sampling times, s, which the noise of the runs includes; 0 if none is found.
-        has_zero: False for sensors without a zero that a comparison may adapt, such as those of speeds and currents,
-            shape (sensors,). None: all have one.
-        updates_rejected: Numbers of voltage changes a row that earlier searches assumed and found wrong, each with the
-            number of effects that were known when it was.
-        means_are_zeros: Whether a fit takes the mean error over a run of a sensor without quantization that measured at
-            rest for an error of the initial position. Not in simulations of complete runs: an error of the machine has
-            a mean there.
+        quantum: Quantization steps of the sensors, in the sensors' units, 0 where there is none,
+            shape (sensors,).
+        behind_belts: True for sensors whose zero the rows at rest do not determine: encoders on pulleys,
+            which elastic belts separate from the tool, and sensors with an offset, shape (sensors,).
+        zeros: Zeros of the encoders that have the same one in all runs, because they stayed on. None:
+            unknown.
+        jitter: Standard deviation of the sampling times, s, which the noise of the runs includes; 0 if none
+            is found.
+        has_zero: False for sensors without a zero that a comparison may adapt, such as those of speeds and
+            currents, shape (sensors,). None: all have one.
+        updates_rejected: Numbers of voltage changes a row that earlier searches assumed and found wrong, each
+            with the number of effects that were known when it was.
+        means_are_zeros: Whether a fit takes the mean error over a run of a sensor without quantization that
+            measured at rest for an error of the initial position. Not in simulations of complete runs: an
+            error of the machine has a mean there.
     """
 
     runs: tuple[PreparedRecording, ...]
@@ -256,7 +262,7 @@ class Dataset:
 
     @property
     def count(self) -> float:
-        """Effective number of measured values of all runs in the fit, dimensionless (sum of the runs' `count`)."""
+        """Effective number of measured values of all runs in the fit, dimensionless (sum of `count`)."""
         return sum(run.count for run in self.runs)
 
     @cached_property
@@ -265,23 +271,23 @@ class Dataset:
         return float(np.median(np.concatenate([np.diff(run.time_s) for run in self.runs])))
 
     def fitted_zero_limits(self, run: PreparedRecording) -> Array:
-        """Return how far, in a fit, the zero of each sensor may differ from its estimate by the rows at rest of a run.
+        """Return how far, in a fit, each sensor's zero may differ from its estimate by a run's rows at rest.
 
-        The limits differ from those of `max_zero_means` for a sensor without quantization. It gives the initial
-        position, and the noise of its few measurements at rest makes this position wrong by a constant over the
-        complete run. The mean error over the run is the best estimate of this constant. If it remained in the residual,
-        parameters would adapt to it. Where a sensor did not measure at rest, later measurements of it determine the
-        initial position.
+        The limits differ from those of `max_zero_means` for a sensor without quantization. It gives the
+        initial position, and the noise of its few measurements at rest makes this position wrong by a
+        constant over the complete run. The mean error over the run is the best estimate of this constant. If
+        it remained in the residual, parameters would adapt to it. Where a sensor did not measure at rest,
+        later measurements of it determine the initial position.
 
         Returns:
-            Limits, in the sensors' units, shape (sensors,): infinite behind belts and, if `means_are_zeros`, for
-            sensors without quantization that measured at rest; otherwise half a quantization step.
+            Limits, in the sensors' units, shape (sensors,): infinite behind belts and, if `means_are_zeros`,
+            for sensors without quantization that measured at rest; otherwise half a quantization step.
         """
         by_mean = self.means_are_zeros & run.initial.measured_at_rest & (self.quantum == 0.0)
         return np.where(by_mean, np.inf, max_zero_means(self.behind_belts, self.quantum))
 
     def with_runs(self, names: Sequence[str]) -> Dataset:
-        """Return a copy with some of the runs; the sensors' noise and quantization steps are not estimated again.
+        """Return a copy with some of the runs; the sensors' noise and quantization steps stay as they are.
 
         Args:
             names: Names of the runs to keep; names of other runs are ignored.
@@ -294,7 +300,8 @@ class Dataset:
     def leaving_out(self, piece: int, pieces: int) -> tuple[Dataset, Dataset]:
         """Divide the data set into one piece of a run and everything else.
 
-        A piece keeps the measurements beside it, which have no weight, so that an observer follows the complete run.
+        A piece keeps the measurements beside it, which have no weight, so that an observer follows the
+        complete run.
 
         Args:
             piece: Index of the piece among those of all runs, in the order of the runs, from 0.
@@ -328,7 +335,7 @@ class Dataset:
 
     @property
     def has_voltage_errors(self) -> bool:
-        """Whether the voltages are interpolated between the rows, with errors that residuals take into account."""
+        """Whether the voltages are interpolated between the rows, with errors that residuals include."""
         return any(run.voltage_errors is not None for run in self.runs)
 
     @property
@@ -360,8 +367,8 @@ class Dataset:
             observers: Observer, bandwidth in rad/s, by the name of the run.
 
         Returns:
-            Copy; runs that are not named are unchanged. The noise of those named is larger by the square root of its
-            `inflation`.
+            Copy; runs that are not named are unchanged. The noise of those named is larger by the square root
+            of its `inflation`.
         """
 
         def with_observer(run: PreparedRecording, observer: RunObserver) -> PreparedRecording:
@@ -397,15 +404,15 @@ class Dataset:
             sensor: Index of the sensor in the machine, from 0.
 
         Returns:
-            Measurements minus the sensor's zero, m or rad, one run after the other, without the rows in which the
-            sensor did not measure, shape (m,).
+            Measurements minus the sensor's zero, m or rad, one run after the other, without the rows in which
+            the sensor did not measure, shape (m,).
         """
         values = np.concatenate([run.outputs[:, sensor] for run in self.runs])
         return values[np.isfinite(values)]
 
 
 def with_known_positions(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
-    """Copy a data set without the runs that cannot be simulated, because no sensor determines the initial position.
+    """Copy a data set without runs that cannot be simulated, as no sensor determines the initial position.
 
     Returns:
         data: Copy without these runs. If no run would remain, all are kept.
@@ -438,17 +445,17 @@ def turns_steadily(outputs: Array, noise: Array, quantum: Array, machine: Machin
 def runs_that_should_move(data: Dataset, machine: Machine, moving: Sequence[str]) -> dict[str, str]:
     """Find runs at rest with inputs that set the machine in motion in another run.
 
-    Their sensor was not read, their drive was off, or something was blocked. In a fit, they would be evidence of dry
-    friction that the other runs refute.
+    Their sensor was not read, their drive was off, or something was blocked. In a fit, they would be evidence
+    of dry friction that the other runs refute.
 
     Args:
         data: Prepared runs, with inputs in the drives' units, shape (n, drives).
         moving: Names of the runs in which the machine moves.
 
     Returns:
-        Name of a run that starts from rest with inputs of which none is larger, root mean square and peak, by the name
-        of each run that should move. Empty for drives that follow a set point, which rest at any constant position.
-        A run at a constant measured speed moves.
+        Name of a run that starts from rest with inputs of which none is larger, root mean square and peak, by
+        the name of each run that should move. Empty for drives that follow a set point, which rest at any
+        constant position. A run at a constant measured speed moves.
     """
 
     def sizes(run: PreparedRecording) -> Array:

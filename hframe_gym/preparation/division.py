@@ -14,8 +14,9 @@ from .dataset import MIN_ROWS
 from .sensor_noise import difference_noise
 
 _GROUP_SIZE = 4  # One of four runs is held out.
-# Relative difference of spectra below which runs count as alike. Repetitions with other random numbers differ by 0.05
-# to 0.2; steps, slow sines, multisines and chirps of the same amplitude differ from each other by 0.2 to 0.6.
+# Relative difference of spectra below which runs count as alike. Repetitions with other random numbers differ
+# by 0.05 to 0.2; steps, slow sines, multisines and chirps of the same amplitude differ from each other by 0.2
+# to 0.6.
 _ALIKE = 0.2
 _NORMAL_SPAN = 4.65  # standard deviations of noise between its 1st and 99th percentile
 _MOVES = 0.01  # fraction of a sensor's largest span in all runs; with less, the error of a run says nothing
@@ -27,13 +28,15 @@ def divide_runs(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> 
     """Check that the runs of a session can be fitted, and choose those that are held out.
 
     Args:
-        chosen: Names of the runs to hold out. Default: one of each group of four similar runs, see `hold_out`.
+        chosen: Names of the runs to hold out. Default: one of each group of four similar runs, see
+            `hold_out`.
 
     Returns:
         Names of the held-out runs.
 
     Raises:
-        InputError: If a run has fewer than 20 rows, the runs cannot be divided, or no sensor moves in the fitted ones.
+        InputError: If a run has fewer than 20 rows, the runs cannot be divided, or no sensor moves in the
+            fitted ones.
     """
     _require_rows(recordings)
     held_out = hold_out(recordings, chosen)
@@ -44,9 +47,9 @@ def divide_runs(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> 
 def copied_runs(recordings: Sequence[Recording], kept: Sequence[str] = ()) -> dict[str, str]:
     """Find runs that have the same times, commands and measurements as another run, or as a part of it.
 
-    With a copy of a held-out run among the fitted ones, the held-out error says nothing. A log that was imported whole
-    and again in parts is the common case; of these, the parts are used. No machine repeats a motion to the last digit,
-    unless nothing moves.
+    With a copy of a held-out run among the fitted ones, the held-out error says nothing. A log that was
+    imported whole and again in parts is the common case; of these, the parts are used. No machine repeats a
+    motion to the last digit, unless nothing moves.
 
     Args:
         recordings: All runs, in the order in which the first one of equal runs is kept.
@@ -108,28 +111,31 @@ def _require_motion(fitted: Sequence[Recording]) -> None:
 def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tuple[str, ...]:
     """Choose the runs that are held out: excluded from the fit and used to evaluate it.
 
-    By default, the runs are divided into groups of four with similar voltages (see `spectral_differences`), and one run
-    of each group is held out. A group consists of the first run that belongs to no group yet and the three remaining
-    runs that are most similar to it; the last group has up to seven runs. The run to hold out is chosen by three
-    criteria, each of which decides between the runs that are equally good by those before it:
+    By default, the runs are divided into groups of four with similar voltages (see `spectral_differences`),
+    and one run of each group is held out. A group consists of the first run that belongs to no group yet and
+    the three remaining runs that are most similar to it; the last group has up to seven runs. The run to hold
+    out is chosen by three criteria, each of which decides between the runs that are equally good by those
+    before it:
 
-    1. The held-out runs are as similar as possible to runs that are fitted. A kind of motion that occurs only once is
-       therefore fitted if possible.
+    1. The held-out runs are as similar as possible to runs that are fitted. A kind of motion that occurs only
+       once is therefore fitted if possible.
     2. The run is no repetition of another held-out run.
-    3. The run is close to the fourth, eighth, ... of all runs. If all runs are alike, every fourth one is held out.
+    3. The run is close to the fourth, eighth, ... of all runs. If all runs are alike, every fourth one is
+      held out.
 
-    Runs in which nothing moves (`moving_runs`) are fitted, for the noise of the sensors, and never chosen: an error on
-    them says nothing about the machine.
+    Runs in which nothing moves (`moving_runs`) are fitted, for the noise of the sensors, and never chosen: an
+    error on them says nothing about the machine.
 
     Args:
-        chosen: Names of the runs to hold out. Default: one of each group of four; one if there are fewer than four.
+        chosen: Names of the runs to hold out. Default: one of each group of four; one if there are fewer than
+            four.
 
     Returns:
         Names of the held-out runs.
 
     Raises:
-        InputError: If a run is unknown, no run is left to fit, or nothing moves in any of the held-out runs although
-            the machine moves in others.
+        InputError: If a run is unknown, no run is left to fit, or nothing moves in any of the held-out runs
+            although the machine moves in others.
     """
     names = [r.name for r in recordings]
     unknown = [c for c in chosen if c not in names]
@@ -162,7 +168,7 @@ def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tup
 
 
 def _representative_runs(differences: Array) -> list[int]:
-    """Return the indices of the runs to hold out, sorted, given how much the runs differ, shape (runs, runs)."""
+    """Return the indices of runs to hold out, sorted, given how much the runs differ, shape (runs, runs)."""
     remaining = list(range(len(differences)))
     held_out: list[int] = []
 
@@ -187,17 +193,18 @@ def _representative_runs(differences: Array) -> list[int]:
 def spectral_differences(recordings: Sequence[Recording]) -> Array:
     """Compare the kinds of motion of runs by the spectra of their voltages.
 
-    The spectrum s of a run consists of the root mean square voltages in each octave of frequency: of each drive, and of
-    the sum and the difference of each pair of drives, divided by sqrt(2). On a machine with belts, sum and difference
-    move different axes. Adjacent octaves overlap, so that a small change of a frequency changes the spectrum little.
+    The spectrum s of a run consists of the root mean square voltages in each octave of frequency: of each
+    drive, and of the sum and the difference of each pair of drives, divided by sqrt(2). On a machine with
+    belts, sum and difference move different axes. Adjacent octaves overlap, so that a small change of a
+    frequency changes the spectrum little.
 
     Args:
         recordings: Runs with their voltages, V, of any durations and sampling rates.
 
     Returns:
-        |s_i - s_j| / (|s_i| + |s_j|) for each pair of runs i and j, dimensionless, shape (runs, runs). It is 1 if the
-        runs have no octave in common, and 1/3 if one run has twice the voltages of the other. Values below 0.2, such as
-        those of repetitions of a run, are set to 0.
+        |s_i - s_j| / (|s_i| + |s_j|) for each pair of runs i and j, dimensionless, shape (runs, runs). It is
+        1 if the runs have no octave in common, and 1/3 if one run has twice the voltages of the other. Values
+        below 0.2, such as those of repetitions of a run, are set to 0.
     """
     duration = max(float(r.time_s[-1] - r.time_s[0]) for r in recordings)
     spectra = [_octave_spectrum(r, duration) for r in recordings]
@@ -228,10 +235,10 @@ def _octave_spectrum(recording: Recording, duration: float) -> Array:
 
 
 def moving_runs(recordings: Sequence[Recording]) -> tuple[str, ...]:
-    """Find the runs in which the machine moves: a sensor moves by more than its noise and than 1 % of its largest span.
+    """Find the runs in which the machine moves: a sensor moves beyond its noise and 1 % of its largest span.
 
-    A span is the difference between the 99th and the 1st percentile of the measurements, so that single wrong samples
-    and the first steps of a motor that hardly turns do not count.
+    A span is the difference between the 99th and the 1st percentile of the measurements, so that single wrong
+    samples and the first steps of a motor that hardly turns do not count.
 
     Returns:
         Names of the runs in which at least one sensor moves.

@@ -1,11 +1,11 @@
 """Directions of the drives: coordinates that a positive command moves against the count of their sensors.
 
-The command of a motor with swapped wires, or of a bridge that is mounted the other way round, moves its coordinate
-backwards. The balance of forces tells (`force_balance`): with positive inertia and friction, and any spring, weight
-and offset, no machine explains such a motion, and it does if the sensors count the other way. The rule is that of
-`hframe check`, applied to the changes of the forces over the session, so that it also holds for a drive that holds a
-load. Changes do not tell swapped channels, which `hframe check` finds as well: a force that hardly changes may seem to
-follow the motion of another coordinate.
+The command of a motor with swapped wires, or of a bridge that is mounted the other way round, moves its
+coordinate backwards. The balance of forces tells (`force_balance`): with positive inertia and friction, and
+any spring, weight and offset, no machine explains such a motion, and it does if the sensors count the other
+way. The rule is that of `hframe check`, applied to the changes of the forces over the session, so that it
+also holds for a drive that holds a load. Changes do not tell swapped channels, which `hframe check` finds as
+well: a force that hardly changes may seem to follow the motion of another coordinate.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ def turned_coordinates(machine: Machine, runs: Sequence[PreparedRecording]) -> t
     """Find the coordinates whose drives move them in the other direction than declared.
 
     Args:
-        machine: Machine as declared. With belts, the direction of a coordinate depends on others, and with effects on
-            sensors, their parameters would have to turn as well: none is found then.
+        machine: Machine as declared. With belts, the direction of a coordinate depends on others, and with
+            effects on sensors, their parameters would have to turn as well: none is found then.
         runs: Prepared runs.
 
     Returns:

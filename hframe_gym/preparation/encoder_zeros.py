@@ -1,8 +1,9 @@
 """Zeros of the encoders of a session: their measurements at position 0 with unstretched belts.
 
-An incremental encoder counts from where it was switched on. If it stayed on for a session (consecutive recordings of a
-rig), its zero is the same in all runs and is estimated from all of them. An identified machine carries these zeros
-(`Sensor.zero`), so that a single run is simulated from the same initial state as in identification.
+An incremental encoder counts from where it was switched on. If it stayed on for a session (consecutive
+recordings of a rig), its zero is the same in all runs and is estimated from all of them. An identified
+machine carries these zeros (`Sensor.zero`), so that a single run is simulated from the same initial state as
+in identification.
 """
 
 from __future__ import annotations
@@ -25,9 +26,9 @@ class EncoderZeros(NamedTuple):
 
     Attributes:
         values: Zero of each sensor, m or rad, NaN where it is unknown, shape (sensors,).
-        spread: Standard deviation of the measured zero from run to run, in the sensors' units, shape (sensors,). Its
-            cause is the stretch of the belts at rest, which differs from run to run; 0 where the encoder does not
-            resolve this stretch.
+        spread: Standard deviation of the measured zero from run to run, in the sensors' units,
+            shape (sensors,). Its cause is the stretch of the belts at rest, which differs from run to run; 0
+            where the encoder does not resolve this stretch.
     """
 
     values: Array
@@ -40,7 +41,7 @@ class EncoderZeros(NamedTuple):
 
     @property
     def resolves_stretch(self) -> NDArray[np.bool_]:
-        """Mask of encoders with a known zero that varies from run to run (with the belt stretch), shape (sensors,)."""
+        """Mask of encoders with a known zero that varies by run (with the belt stretch), shape (sensors,)."""
         # The stretch at rest differs from run to run, and with it the measured zero.
         return self.known & (self.spread > 0.0)
 
@@ -52,8 +53,8 @@ class EncoderZeros(NamedTuple):
             machine: Machine; the sensors of an identified one may have a zero (attribute `Sensor.zero`).
 
         Returns:
-            Zeros of all sensors, in the sensors' units, shape (sensors,); NaN (unknown) where the machine file has
-            none.
+            Zeros of all sensors, in the sensors' units, shape (sensors,); NaN (unknown) where the machine
+            file has none.
         """
         return cls(
             np.array([np.nan if s.zero is None else s.zero for s in machine.sensors], float),
@@ -67,9 +68,9 @@ class EncoderZeros(NamedTuple):
             machine: Machine to copy; it is not changed. It has one sensor per zero, in the same order.
 
         Returns:
-            Copy of the machine. A sensor with a known zero has this zero (m or rad) and, if the zero varies from run to
-            run (attribute `spread` > 0), its standard deviation. A zero that another sensor had in `machine` is
-            removed, and its standard deviation with it.
+            Copy of the machine. A sensor with a known zero has this zero (m or rad) and, if the zero varies
+            from run to run (attribute `spread` > 0), its standard deviation. A zero that another sensor had
+            in `machine` is removed, and its standard deviation with it.
         """
         return machine.replace(
             sensors=tuple(
@@ -92,9 +93,10 @@ class EncoderZeros(NamedTuple):
 
 
 def zero_tolerance(machine: Machine, zeros: EncoderZeros, quanta: Array) -> Array:
-    """Return by how much an encoder's zero in one run may differ from its zero in the session (all runs together).
+    """Return by how much an encoder's zero in one run may differ from its session zero (all runs).
 
-    The zero is the measurement at position 0. If it differs by more, the encoder was switched on anew for this run.
+    The zero is the measurement at position 0. If it differs by more, the encoder was switched on anew for
+    this run.
 
     Args:
         machine: Machine with belts.
@@ -102,8 +104,10 @@ def zero_tolerance(machine: Machine, zeros: EncoderZeros, quanta: Array) -> Arra
         quanta: Quantization steps of the sensors, in the sensors' units, shape (sensors,).
 
     Returns:
-        Largest permitted differences, in the sensors' units, shape (sensors,): the sum of four standard deviations, two
-        quantization steps, and twice the angle by which friction can hold the pulley away from unstretched belts.
+        Largest permitted differences, in the sensors' units, shape (sensors,): the sum of four standard
+        deviations, two quantization steps, and twice the angle by which friction can hold the pulley away
+        from unstretched belts.
     """
-    # Friction can hold the pulley in one direction in this run, and in the other one in those that gave the zeros.
+    # Friction can hold the pulley in one direction in this run, and in the other one in those that gave the
+    # zeros.
     return np.asarray(2 * max_held_angle(machine) + MAX_SCATTER * zeros.spread + 2 * quanta)

@@ -1,8 +1,8 @@
 """Choose the part of a long session in which effects are searched for.
 
-A search fits hundreds of candidates, and each takes as long as the runs are. Beyond a normal session, more rows make
-parameters more accurate, but hardly show another effect. The search therefore uses a part of the runs that represents
-all of them; what it finds is fitted to all rows.
+A search fits hundreds of candidates, and each takes as long as the runs are. Beyond a normal session, more
+rows make parameters more accurate, but hardly show another effect. The search therefore uses a part of the
+runs that represents all of them; what it finds is fitted to all rows.
 """
 
 from __future__ import annotations
@@ -22,17 +22,18 @@ from .encoder_zeros import EncoderZeros
 from .rest_measurement import estimate_initial_state
 from .usable import without_unknown_voltage
 
-# Rows times coordinates of a normal session: eight runs of 5 s at 1 kHz of a machine with four coordinates. Its
-# complete search takes a quarter of a minute as a median, and one to three minutes if nothing explains the error.
+# Rows times coordinates of a normal session: eight runs of 5 s at 1 kHz of a machine with four coordinates.
+# Its complete search takes a quarter of a minute as a median, and one to three minutes if nothing explains
+# the error.
 NORMAL_SESSION = 160_000
-# The same of the rows to which the machines are fitted in the end. More would need gigabytes of memory and minutes, and
-# make parameters hardly more accurate.
+# The same of the rows to which the machines are fitted in the end. More would need gigabytes of memory and
+# minutes, and make parameters hardly more accurate.
 LARGEST_FIT = 10 * NORMAL_SESSION
-# Time of a fit for a row and for the motion until the next one, in normal sampling periods of 1 ms: measured on logs of
-# 1 kHz and 500 Hz.
+# Time of a fit for a row and for the motion until the next one, in normal sampling periods of 1 ms: measured
+# on logs of 1 kHz and 500 Hz.
 NORMAL_PERIOD, _OF_ROW, _OF_MOTION = 1e-3, 0.75, 0.25
-# Runs among which a normal session is divided. An effect must be confirmed by runs to which it was not fitted, so few
-# long ones would say less than this many shorter ones.
+# Runs among which a normal session is divided. An effect must be confirmed by runs to which it was not
+# fitted, so few long ones would say less than this many shorter ones.
 _RUNS = 8
 _REST_S = 0.1  # s without motion, after which a part of a run may begin as a run does: at rest
 # How far sensors vary at rest, in standard deviations of their noise and in quantization steps.
@@ -44,20 +45,20 @@ def representative_part(
 ) -> Dataset:
     """Return the part of the runs in which effects are searched for.
 
-    Runs are taken in the order in which each differs most from those before it, by the spectra of their voltages, until
-    they fill a normal session. Of each, one contiguous part is kept, as long as the others permit; short runs remain
-    whole. The part is the one whose voltages resemble those of the whole run most. It begins at rest where the machine
-    rests.
+    Runs are taken in the order in which each differs most from those before it, by the spectra of their
+    voltages, until they fill a normal session. Of each, one contiguous part is kept, as long as the others
+    permit; short runs remain whole. The part is the one whose voltages resemble those of the whole run most.
+    It begins at rest where the machine rests.
 
     Args:
         machine: Machine as declared.
-        size: Largest number of rows times coordinates, dimensionless, for rows that are 1 ms apart; fewer if they are
-            further apart.
+        size: Largest number of rows times coordinates, dimensionless, for rows that are 1 ms apart; fewer if
+            they are further apart.
         every_run: Whether a part of each run is kept, however short.
 
     Returns:
-        The runs, or parts of them with the same names and a measured start; `data` itself if it is not larger, or if
-        the errors of its voltages are known by row.
+        The runs, or parts of them with the same names and a measured start; `data` itself if it is not
+        larger, or if the errors of its voltages are known by row.
     """
     per_row = _OF_ROW + _OF_MOTION * data.period / NORMAL_PERIOD
     rows = round(size / (len(machine.coordinates) * per_row))
@@ -108,7 +109,7 @@ def largest_share(lengths: Sequence[float], total: float) -> float:
 
 
 def _different_runs(data: Dataset, rows: int) -> list[PreparedRecording]:
-    """Return runs that move and differ from each other, as many as fill the given rows, in the order of the data."""
+    """Return runs that move and differ, as many as fill the given rows, in the order of the data."""
     moving = moving_runs([_recorded(run) for run in data.runs])
     runs = [run for run in data.runs if run.name in moving] or list(data.runs)
     differences = spectral_differences([_recorded(run) for run in runs])
@@ -139,7 +140,7 @@ def _representative_rows(
 
 
 def _starts(run: PreparedRecording, rows: int, data: Dataset) -> list[int]:
-    """Return the rows at which a part may begin, half a part from each other, later by up to that much for a rest."""
+    """Return rows at which a part may begin, half a part apart, later by up to that much for a rest."""
     resting, last = np.flatnonzero(_at_rest(run, data)), len(run.time_s) - rows
     starts = [0]
     for row in range(rows // 2, last + 1, max(rows // 2, 1)):

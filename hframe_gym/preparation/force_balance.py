@@ -1,16 +1,17 @@
 """Compare the drives' forces with what the measured motion requires, whatever forces the machine file lacks.
 
-A simulation with the declared machine cannot tell a wrong sign from a spring or a weight that the file does not
-declare: below resonance, a spring turns the phase of the motion by half a turn, as a wrong sign does. The balance of
-forces can. Along each rigid motion z, the force F of the drives is
+A simulation with the declared machine cannot tell a wrong sign from a spring or a weight that the file does
+not declare: below resonance, a spring turns the phase of the motion by half a turn, as a wrong sign does. The
+balance of forces can. Along each rigid motion z, the force F of the drives is
 
     F = a (M z'') + b z' + c sign(z') + k z + (s sin z + r cos z for an angle) + o
 
-with unknown coefficients. Inertia, viscous and dry friction are positive on any machine (a, b, c >= 0); a spring, a
-weight and an offset have either sign. Linear least squares with these bounds gives the fraction of F that no machine
-explains. With a wrong sign, the drives would brake what they accelerate, and friction would drive: most of F remains.
-A load that the drives hold throughout, as on a vertical axis, tells no direction, because an offset explains it with
-either sign. Over a session, directions are therefore compared by the changes of F about its mean.
+with unknown coefficients. Inertia, viscous and dry friction are positive on any machine (a, b, c >= 0); a
+spring, a weight and an offset have either sign. Linear least squares with these bounds gives the fraction of
+F that no machine explains. With a wrong sign, the drives would brake what they accelerate, and friction would
+drive: most of F remains. A load that the drives hold throughout, as on a vertical axis, tells no direction,
+because an offset explains it with either sign. Over a session, directions are therefore compared by the
+changes of F about its mean.
 """
 
 from __future__ import annotations
@@ -25,13 +26,13 @@ from ..arrays import Array
 from ..machine import Machine
 from .motion_windows import MotionWindows, force_equations, leading_motions
 
-# Fraction of the squared force of the drives, or of the squared motion, below which a motion is explained. On 33
-# recorded and simulated sets of right wiring, at most 0.05 is unexplained; with one wrong sign, 0.1 to 1. Of the
-# changes of the force, at most 0.11 on 26 sets, and 0.28 on one whose voltage is limited; with one wrong sign, 0.23 to
-# 1, and 0.12 on a joint that sticks.
+# Fraction of the squared force of the drives, or of the squared motion, below which a motion is explained. On
+# 33 recorded and simulated sets of right wiring, at most 0.05 is unexplained; with one wrong sign, 0.1 to 1.
+# Of the changes of the force, at most 0.11 on 26 sets, and 0.28 on one whose voltage is limited; with one
+# wrong sign, 0.23 to 1, and 0.12 on a joint that sticks.
 EXPLAINED = 0.2
-# Another wiring takes the place of the declared one if it leaves this much less, as a fraction of the squared force,
-# and at most this fraction of what the declared one leaves.
+# Another wiring takes the place of the declared one if it leaves this much less, as a fraction of the squared
+# force, and at most this fraction of what the declared one leaves.
 IMPROVEMENT, CLEARLY_LESS = 0.1, 1 / 3
 _ROUNDING = 1e-12  # squared changes of a constant force, as a fraction of its square
 SPANS = (0.02, 0.05, 0.1, 0.2)  # s, windows of the balance of forces
@@ -42,10 +43,12 @@ class Balance(NamedTuple):
 
     Attributes:
         unexplained: Fraction of the sum of squared forces that no machine explains, from 0 to 1.
-        of_changes: The same unexplained force as a fraction of the squared changes of the forces about their mean.
-        inertia: Fitted inertia / declared inertia, by motion, shape (motions,); NaN if the rows do not suffice.
-        viscous: Fitted viscous friction / declared one with the back-EMF, by motion, shape (motions,); NaN also if
-            none is declared.
+        of_changes: The same unexplained force as a fraction of the squared changes of the forces about their
+            mean.
+        inertia: Fitted inertia / declared inertia, by motion, shape (motions,); NaN if the rows do not
+            suffice.
+        viscous: Fitted viscous friction / declared one with the back-EMF, by motion, shape (motions,); NaN
+            also if none is declared.
     """
 
     unexplained: float

@@ -1,8 +1,9 @@
 """Find the rest at the beginning of a run.
 
-At rest are rows in which no voltage is applied and no sensor shows motion. The inputs alone do not show rest: a machine
-may still swing when a log begins, and a voltage that is logged late, or not at all, is 0 while the machine moves. If
-such motion were taken as rest, it would be counted as noise of the sensors and shift their zeros.
+At rest are rows in which no voltage is applied and no sensor shows motion. The inputs alone do not show rest:
+a machine may still swing when a log begins, and a voltage that is logged late, or not at all, is 0 while the
+machine moves. If such motion were taken as rest, it would be counted as noise of the sensors and shift their
+zeros.
 """
 
 from __future__ import annotations
@@ -22,15 +23,15 @@ _MIN_ROWS = 16  # Fewer rows are not divided into blocks, and do not show rest a
 # Medians of blocks of rows are compared: a median of 10 ms has little noise, and eight of them show a trend.
 _BLOCK_S, _MIN_BLOCKS = 0.01, 8
 _BLOCKS_AT_REST = 5  # This many blocks show that a run begins at rest, however long no voltage is applied.
-# Tolerances: how far the median of a block may depart from the blocks at rest before it counts as motion. They are wide
-# because a false motion costs the rest of a run, whereas true motion soon exceeds them.
+# Tolerances: how far the median of a block may depart from the blocks at rest before it counts as motion.
+# They are wide because a false motion costs the rest of a run, whereas true motion soon exceeds them.
 NOISE_TOLERANCE = 8.0  # standard deviations of the noise of one sample
 # Multiple of the range of the medians at rest; slow noise varies by about as much everywhere.
 _RANGE_TOLERANCE = 3.0
 _SPAN_TOLERANCE = 1e-4  # fraction of the sensor's span in the run, whatever its noise
 _SLOW_NOISE_SPAN = 1e-3  # fraction of the span that slow noise of a filtered sensor may reach; more is motion
-# Fraction of its span in the run that a sensor of a speed may show at rest. Zeros of analog tachometers err by up to
-# 2 % of their range; more is motion.
+# Fraction of its span in the run that a sensor of a speed may show at rest. Zeros of analog tachometers err
+# by up to 2 % of their range; more is motion.
 SPEED_ZERO_ERROR = 0.02
 
 
@@ -38,12 +39,13 @@ class InitialRest(NamedTuple):
     """The rest at the beginning of a run.
 
     Attributes:
-        first: First row at rest; larger than 0 if the machine still moves when the run begins and settles before the
-            first input.
-        rows: Number of rows from the beginning of the run to the end of the rest; 1 if the machine moves throughout, so
-            that only the first row counts.
+        first: First row at rest; larger than 0 if the machine still moves when the run begins and settles
+            before the first input.
+        rows: Number of rows from the beginning of the run to the end of the rest; 1 if the machine moves
+            throughout, so that only the first row counts.
         moving: True for each sensor that moves in these rows, shape (sensors,).
-        lead_s: Lower bound of the time by which a motion precedes the first input, s; 0 if no motion precedes it.
+        lead_s: Lower bound of the time by which a motion precedes the first input, s; 0 if no motion precedes
+            it.
     """
 
     first: int
@@ -55,23 +57,29 @@ class InitialRest(NamedTuple):
 def initial_rest(recording: Recording, machine: Machine) -> InitialRest:
     """Find the rest at the beginning of a run by its inputs and its sensors.
 
-    The rows before the first input are divided into blocks, and the medians of each sensor in the blocks are compared.
-    Differences that noise and quantization explain do not count. There are three kinds of motion before the input:
+    The rows before the first input are divided into blocks, and the medians of each sensor in the blocks are
+    compared. Differences that noise and quantization explain do not count. There are three kinds of motion
+    before the input:
 
-    - The last blocks agree, earlier ones differ from them: the machine settles, and the rest begins later than the run.
-      At least 16 rows must then be at rest, because neighboring blocks of a slow motion hardly differ.
-    - The first blocks agree, later ones differ from them: the machine moves before the input; the rest ends earlier.
-    - The blocks differ throughout: the machine moves from beginning to end, and only the first row counts as rest.
+    - The last blocks agree, earlier ones differ from them: the machine settles, and the rest begins later
+      than the run. At least 16 rows must then be at rest, because neighboring blocks of a slow motion hardly
+      differ.
+    - The first blocks agree, later ones differ from them: the machine moves before the input; the rest ends
+      earlier.
+    - The blocks differ throughout: the machine moves from beginning to end, and only the first row counts as
+      rest.
 
-    Fewer than 16 rows are not divided: they are rest, or the third kind of motion if a sensor varies too much. A speed
-    that is constant but not zero is the third kind as well, where no sensor shows the position of the coordinate.
+    Fewer than 16 rows are not divided: they are rest, or the third kind of motion if a sensor varies too
+    much. A speed that is constant but not zero is the third kind as well, where no sensor shows the position
+    of the coordinate.
 
     Args:
         recording: The run (times, s; voltages, V; measurements, m or rad, NaN where not measured).
 
     Returns:
-        First row at rest, number of rows from the beginning of the run to the end of the rest, the sensors that move
-        before the first input (mask of shape (sensors,)), and the time by which a motion precedes the input, s.
+        First row at rest, number of rows from the beginning of the run to the end of the rest, the sensors
+        that move before the first input (mask of shape (sensors,)), and the time by which a motion precedes
+        the input, s.
     """
     rest = _constant_rows(recording, machine)
     coasting = _coasting(recording, machine, rest)
@@ -90,7 +98,7 @@ def _coasting(recording: Recording, machine: Machine, rest: InitialRest) -> NDAr
 
 
 def _constant_rows(recording: Recording, machine: Machine) -> InitialRest:
-    """Find the rows before the first input in which all measurements are constant, also speeds other than 0."""
+    """Find the rows before the first input in which all measurements are constant, speeds too."""
     rows = _rows_without_input(recording)
     if rows > _MIN_ROWS and _moves_in_last(
         recording.outputs[:rows], _tolerances(recording, rows - 1, machine)[0]
@@ -109,7 +117,8 @@ def _constant_rows(recording: Recording, machine: Machine) -> InitialRest:
     resting_blocks, departing = _departure(medians, min(quarter, _BLOCKS_AT_REST), tolerance, np.inf)
     moving = settling | departing
     if not moving.any():
-        # No sensor starts or stops. It may still move throughout, unless the motion is as small as slow noise.
+        # No sensor starts or stops. It may still move throughout, unless the motion is as small as slow
+        # noise.
         moving = peak_to_peak(medians) > limit
         return rest._replace(rows=1, moving=moving) if moving.any() else rest
     driven = rows < len(recording.time_s)
@@ -128,12 +137,13 @@ def _constant_rows(recording: Recording, machine: Machine) -> InitialRest:
 def count_resting_rows(recording: Recording, machine: Machine) -> int:
     """Count the rows at the beginning of a run in which the machine is at rest.
 
-    The row in which an input first changes is included, because its measurement still precedes the motion, unless it
-    shows that a controller that is faster than the log moved the machine before. Rows without
+    The row in which an input first changes is included, because its measurement still precedes the motion,
+    unless it shows that a controller that is faster than the log moved the machine before. Rows without
     measurements count as rest, among them those whose measurements `without_moving_start` has removed.
 
     Returns:
-        Number of rows, at least 1. It is 1 if an input is not zero in the first row or the run begins in motion.
+        Number of rows, at least 1. It is 1 if an input is not zero in the first row or the run begins in
+        motion.
     """
     rest = initial_rest(recording, machine)
     return 1 if rest.first else rest.rows
@@ -144,15 +154,15 @@ def without_moving_start(
 ) -> Recording:
     """Copy a recording that begins in motion, without the measurements before the machine comes to rest.
 
-    The rest that follows gives the initial state. A simulation that begins with this state and without input remains at
-    rest until the first input, so times and inputs are kept.
+    The rest that follows gives the initial state. A simulation that begins with this state and without input
+    remains at rest until the first input, so times and inputs are kept.
 
     Args:
         rest: Rest at the beginning of the run. Default: `initial_rest` finds it.
 
     Returns:
-        Copy whose measurements are NaN before the rest. The same object if the run begins at rest or the machine does
-        not come to rest before the first input.
+        Copy whose measurements are NaN before the rest. The same object if the run begins at rest or the
+        machine does not come to rest before the first input.
     """
     first = (rest or initial_rest(recording, machine)).first
     if not first:
@@ -163,7 +173,7 @@ def without_moving_start(
 
 
 def _rows_without_input(recording: Recording) -> int:
-    """Return the number of rows up to the first change of an input, at least 1; 1 if an input is not zero at first."""
+    """Return the number of rows up to an input's first change, at least 1; 1 if one begins nonzero."""
     changes = np.flatnonzero(np.any(recording.inputs != recording.inputs[0], axis=1))
     if np.any(recording.inputs[0]):
         return 1  # The machine is driven from its first row on; only that row is certainly at rest.
@@ -171,7 +181,7 @@ def _rows_without_input(recording: Recording) -> int:
 
 
 def _moves_in_last(outputs: Array, tolerance: Array) -> bool:
-    """Return whether a sensor moves in the last row alone: a controller faster than the log had begun before it."""
+    """Return whether a sensor moves in the last row alone: a controller faster than the log began before."""
     if not np.isfinite(outputs[:-1]).any(axis=0).all():
         return False
     rest = outputs[:-1]
@@ -180,7 +190,7 @@ def _moves_in_last(outputs: Array, tolerance: Array) -> bool:
 
 
 def _tolerances(recording: Recording, rows: int, machine: Machine) -> tuple[Array, Array]:
-    """Return by how much each sensor varies at rest, and its span in the run, in its unit, shape (sensors,) each."""
+    """Return how much each sensor varies at rest, and its span in the run, in its unit, (sensors,) each."""
     spans = peak_to_peak(recording.outputs)
     of_noise = rows if rows >= _MIN_ROWS else None  # Few rows do not show the noise; the entire run does.
     noise = [
@@ -195,7 +205,8 @@ def measurement_noise(values: Array, run_values: Array, sensor: Sensor) -> float
 
     Args:
         values: Measurements whose scatter counts, m or rad, NaN where there is none, shape (rows,).
-        run_values: All measurements in the run, m or rad, shape (n,), for the quantization step and its rounding error.
+        run_values: All measurements in the run, m or rad, shape (n,), for the quantization step and its
+            rounding error.
         sensor: The sensor with its declared noise and resolution.
 
     Returns:
@@ -223,10 +234,10 @@ def _block_medians(outputs: Array, size: int) -> Array:
 def _departure(
     medians: Array, count: int, tolerance: Array, limit: Array | float
 ) -> tuple[int, NDArray[np.bool_]]:
-    """Return after how many blocks a channel that is still in the first `count` ones departs, and which channels do.
+    """Return after how many blocks a channel at rest in the first `count` departs, and which channels do.
 
-    A channel departs if it leaves `limit`, its largest range with slow noise. The number is 0 if none departs or a
-    channel moves in the first blocks already.
+    A channel departs if it leaves `limit`, its largest range with slow noise. The number is 0 if none departs
+    or a channel moves in the first blocks already.
     """
     reference = medians[:count]
     variation = peak_to_peak(reference)
@@ -241,7 +252,7 @@ def _departure(
 
 
 def _lead(time_s: Array, outputs: Array, resting_rows: int, tolerance: Array) -> float:
-    """Return the time, s, from the last row in which all channels are as in the resting rows to the last row."""
+    """Return the time, s, from the last row in which all channels are as in the resting rows to the end."""
     middle = _medians(outputs[:resting_rows])
     departed = (np.abs(outputs - middle) > tolerance / 2).any(axis=1)
     return float(time_s[-1] - time_s[np.flatnonzero(~departed)[-1]])

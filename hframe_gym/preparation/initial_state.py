@@ -1,10 +1,12 @@
 """The initial state of a run for a given machine.
 
-`rest_measurement` estimates the position from the measurements alone. With the effects of a machine (deviations from
-the nominal model, such as cables and tilt) the estimate is better: effects on measurements are inverted, and pulleys
-are in static equilibrium with the forces that act at rest. This also corrects the zeros of the encoders.
+`rest_measurement` estimates the position from the measurements alone. With the effects of a machine
+(deviations from the nominal model, such as cables and tilt) the estimate is better: effects on measurements
+are inverted, and pulleys are in static equilibrium with the forces that act at rest. This also corrects the
+zeros of the encoders.
 
-Fits take their initial states from here; `recording_simulation` determines that of a single run for every command.
+Fits take their initial states from here; `recording_simulation` determines that of a single run for every
+command.
 """
 
 from __future__ import annotations
@@ -37,16 +39,17 @@ def measured_initial_state(
 ) -> InitialState:
     """Estimate the initial state of a run from its measurements at rest and the encoder zeros of all runs.
 
-    The zero of an encoder is its measurement at position 0. A session is all runs of a rig together; an encoder that
-    stays on counts from the same zero in all of them. Positions follow from measurement minus zero:
+    The zero of an encoder is its measurement at position 0. A session is all runs of a rig together; an
+    encoder that stays on counts from the same zero in all of them. Positions follow from measurement minus
+    zero:
 
     - Lasers have a fixed zero and give the positions of the carriages, if they measured at rest.
     - Encoders with a zero of the session give the angles of their pulleys and, without lasers, the positions.
-    - An encoder may have been switched on anew before this run. Its zero of the session is not used if it puts the
-      pulley further away from static equilibrium than `zero_tolerance` permits (mainly what friction can hold).
-      Instead, the pulley is assumed to be in equilibrium at rest, which gives a zero for this run.
-    - If only the zeros of the session would give positions (without lasers), and the sensors then disagree about the
-      position by more than that tolerance, no zero of the session is used; the result is `alone`.
+    - An encoder may have been switched on anew before this run. Its zero of the session is not used if it
+      puts the pulley further away from static equilibrium than `zero_tolerance` permits (mainly what friction
+      can hold). Instead, the pulley is assumed to be in equilibrium at rest, which gives a zero for this run.
+    - If only the zeros of the session would give positions (without lasers), and the sensors then disagree
+      about the position by more than that tolerance, no zero of the session is used; the result is `alone`.
 
     Args:
         recording: The run; saturated measurements are NaN.
@@ -56,8 +59,8 @@ def measured_initial_state(
         alone: Initial state without zeros of the session. Default: that of `estimate_initial_state`.
 
     Returns:
-        Initial state: positions at rest, m or rad, shape (coordinates,), and zeros of the sensors, m or rad, shape
-        (sensors,). Its `warnings` name the encoders whose zero of the session was not used.
+        Initial state: positions at rest, m or rad, shape (coordinates,), and zeros of the sensors, m or rad,
+        shape (sensors,). Its `warnings` name the encoders whose zero of the session was not used.
     """
     alone = alone or estimate_initial_state(recording, machine)
     if not zeros.known.any() or not machine.belts:
@@ -105,24 +108,25 @@ def _switched_on_anew(
 
 
 def model_initial_states(machine: Machine, initial: Sequence[InitialState]) -> list[Array]:
-    """Return the states from which simulations of a machine start, given the measurements at rest of each run.
+    """Return the states where simulations of a machine start, given the measurements at rest of each run.
 
-    The state depends on the machine's effects, which may change measurements and exert forces at rest. If the zero of
-    an encoder (its measurement at position 0) is known, the encoder gives the angle of its pulley. All other angles are
-    those in static equilibrium.
+    The state depends on the machine's effects, which may change measurements and exert forces at rest. If the
+    zero of an encoder (its measurement at position 0) is known, the encoder gives the angle of its pulley.
+    All other angles are those in static equilibrium.
 
-    Zeros that were estimated without an effect may be wrong and would indicate a belt stretch that does not exist.
-    Therefore, until `refine_encoder_zeros` has corrected them, the static equilibrium gives the angles of eccentric
-    pulleys as well, and the angles of all pulleys if an effect changes what a laser measures at rest.
+    Zeros that were estimated without an effect may be wrong and would indicate a belt stretch that does not
+    exist. Therefore, until `refine_encoder_zeros` has corrected them, the static equilibrium gives the angles
+    of eccentric pulleys as well, and the angles of all pulleys if an effect changes what a laser measures at
+    rest.
 
     Args:
         machine: Machine with its effects; structural ones may have added coordinates.
         initial: Measured initial state of each run (positions at rest, zeros of the sensors).
 
     Returns:
-        For each run positions (m, rad), velocities (m/s, rad/s) and states of the effects (SI; zero unless estimated),
-        shape (2 * coordinates + effect states,). Velocities are those in `initial`: zero unless the run begins in
-        motion. Without belts, added coordinates start at 0.
+        For each run positions (m, rad), velocities (m/s, rad/s) and states of the effects (SI; zero unless
+        estimated), shape (2 * coordinates + effect states,). Velocities are those in `initial`: zero unless
+        the run begins in motion. Without belts, added coordinates start at 0.
     """
     if not initial:
         return []
@@ -145,8 +149,9 @@ def model_initial_states(machine: Machine, initial: Sequence[InitialState]) -> l
 
 
 def _set_encoder_angles(machine: Machine, initial: InitialState, measured: Array, positions: Array) -> None:
-    """Replace pulley angles in static equilibrium by those that encoders with a known zero measure, in place."""
-    # Encoders are not used if an effect changes the position that lasers measure and their zeros are not corrected yet.
+    """Replace pulley angles in equilibrium by those that encoders with a known zero measure, in place."""
+    # Encoders are not used if an effect changes the position that lasers measure and their zeros are not
+    # corrected yet.
     if not initial.zeros_refined and not np.array_equal(measured, initial.position):
         return
     eccentric = [
@@ -165,7 +170,7 @@ def _set_encoder_angles(machine: Machine, initial: InitialState, measured: Array
 
 
 def _encoder_angles(machine: Machine, initial: InitialState) -> dict[int, float]:
-    """Return the angles at rest, rad, by index of each pulley whose encoder has a zero and resolves the belt stretch.
+    """Return the angles at rest, rad, by index of each pulley whose encoder has a zero and resolves stretch.
 
     The angle of an eccentric pulley is that of a concentric pulley with the same belt travel.
     """
@@ -177,10 +182,10 @@ def _encoder_angles(machine: Machine, initial: InitialState) -> dict[int, float]
 
 
 def _concentric_angle(machine: Machine, index: int, angle: float) -> float:
-    """Convert the angle of an eccentric pulley at rest to that of a concentric one with the same belt travel, rad.
+    """Convert an eccentric pulley's angle at rest to that of a concentric one with the same belt travel, rad.
 
-    A simulation starts from the angles of concentric pulleys, whose belt travel is radius * angle. The conversion is
-    accurate to first order in the eccentricity.
+    A simulation starts from the angles of concentric pulleys, whose belt travel is radius * angle. The
+    conversion is accurate to first order in the eccentricity.
     """
     converted = angle
     # The formula of eccentricity gives the difference of the two angles, rad.
@@ -194,10 +199,11 @@ def _concentric_angle(machine: Machine, index: int, angle: float) -> float:
 
 
 def _position_from_measurements(machine: Machine, initial: InitialState) -> Array:
-    """Return the true positions (coordinates,) at rest from measurements at rest that the machine's effects falsify.
+    """Return the true positions (coordinates,) from measurements at rest that the machine's effects falsify.
 
-    Effects on lasers (skew, scale) are inverted iteratively. For a laser that measured nothing at rest, the encoders
-    give the position, corrected for eccentric pulleys and for the belt stretch that forces cause at rest.
+    Effects on lasers (skew, scale) are inverted iteratively. For a laser that measured nothing at rest, the
+    encoders give the position, corrected for eccentric pulleys and for the belt stretch that forces cause at
+    rest.
     """
     if initial.lasers_measured or not machine.effects:
         return _without_measurement_effects(machine, initial, initial.position.copy())
@@ -244,25 +250,26 @@ def _without_measurement_effects(machine: Machine, initial: InitialState, positi
 
 
 def encoder_zero_errors(machine: Machine, initial: Sequence[InitialState]) -> Array:
-    """Estimate the errors of the encoders' zeros (measurements at position 0) from the equilibrium of a fitted machine.
+    """Estimate errors of the encoders' zeros (at position 0) from the equilibrium of a fitted machine.
 
-    `common_encoder_zeros` assumes that the belts are unstretched on average over the runs. This is wrong if a force at
-    rest, from a cable or a tilt, always stretches them in the same direction.
+    `common_encoder_zeros` assumes that the belts are unstretched on average over the runs. This is wrong if a
+    force at rest, from a cable or a tilt, always stretches them in the same direction.
 
-    A machine with that force predicts the angle of each pulley in static equilibrium. The measured minus the predicted
-    angle is an estimate of the error. The median over the runs is used, because friction acts in both directions.
+    A machine with that force predicts the angle of each pulley in static equilibrium. The measured minus the
+    predicted angle is an estimate of the error. The median over the runs is used, because friction acts in
+    both directions.
 
-    The prediction needs the positions of the carriages. In runs with a laser measurement at rest, they do not depend on
-    the encoders. In other runs they come from the encoders themselves. Such runs show only those errors by which the
-    encoders contradict each other, and are used only if there are no others.
+    The prediction needs the positions of the carriages. In runs with a laser measurement at rest, they do not
+    depend on the encoders. In other runs they come from the encoders themselves. Such runs show only those
+    errors by which the encoders contradict each other, and are used only if there are no others.
 
     Args:
         machine: Fitted machine with its effects.
         initial: Measured initial states, one per run.
 
     Returns:
-        Values to add to the assumed zeros, in the unit of each sensor (encoder on a pulley: rad; others: m), shape
-        (sensors,); 0 where the zero is not known.
+        Values to add to the assumed zeros, in the unit of each sensor (encoder on a pulley: rad; others: m),
+        shape (sensors,); 0 where the zero is not known.
     """
     errors = np.zeros(len(machine.sensors))
     if not machine.belts:

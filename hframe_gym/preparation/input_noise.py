@@ -1,10 +1,11 @@
-"""Measured inputs: the noise of a current or torque sensor acts on a simulated machine as a force that was not there.
+"""Measured inputs: the noise of a current or torque sensor acts on a simulated machine as a false force.
 
-Noise alone moves little, but dry friction rectifies it: a simulated machine whose friction the noise overcomes for
-moments creeps where the real one stands, and a fit then finds too little friction. Inputs of this kind are averaged.
+Noise alone moves little, but dry friction rectifies it: a simulated machine whose friction the noise
+overcomes for moments creeps where the real one stands, and a fit then finds too little friction. Inputs of
+this kind are averaged.
 
-The command of a position controller changes as fast, because it differentiates the rounding of an encoder. The real
-drive follows it, so it must stay as it is. It is recognized by the measurements that it answers.
+The command of a position controller changes as fast, because it differentiates the rounding of an encoder.
+The real drive follows it, so it must stay as it is. It is recognized by the measurements that it answers.
 """
 
 from __future__ import annotations
@@ -19,16 +20,16 @@ from ..machine import Machine
 from ..recordings import Recording
 from ..robust_statistics import white_noise
 
-# Fraction of an input's root mean square. Current sensors of amplifiers have 0.1 to 2 %; a recorded motor whose current
-# had 20 % was simulated eight times as well with a current that was smoothed.
+# Fraction of an input's root mean square. Current sensors of amplifiers have 0.1 to 2 %; a recorded motor
+# whose current had 20 % was simulated eight times as well with a current that was smoothed.
 MUCH_NOISE = 0.05
-# Length of the centered average, s: the time constant of the widest observer (60 rad/s). What an input does within
-# it cannot be seen in the motion, so that the average loses nothing else.
+# Length of the centered average, s: the time constant of the widest observer (60 rad/s). What an input does
+# within it cannot be seen in the motion, so that the average loses nothing else.
 SMOOTHING_TIME = 1.0 / 60.0
 # Measurements that a controller combines: the present one and those of the four rows before.
 _ANSWERED_ROWS = 5
-# Fraction of an input's fast changes that measurements must explain. A measured current of a motor has 0.001, the
-# commands of a simulated servo with an encoder and a limit of the current 0.89 to 0.98.
+# Fraction of an input's fast changes that measurements must explain. A measured current of a motor has 0.001,
+# the commands of a simulated servo with an encoder and a limit of the current 0.89 to 0.98.
 _ANSWERED = 0.5
 # Ends of the names of inputs that may be measured; voltages are commands as a rule.
 _FORCE_UNITS = ("A", "Nm")
@@ -37,8 +38,8 @@ _FORCE_UNITS = ("A", "Nm")
 def noise_of_input(values: Array) -> float:
     """Estimate the noise by which an input changes from row to row.
 
-    The median of second differences is zero for a command that holds its values over several rows, and small for one
-    that is smooth.
+    The median of second differences is zero for a command that holds its values over several rows, and small
+    for one that is smooth.
 
     Args:
         values: Input, shape (n,).
@@ -50,17 +51,18 @@ def noise_of_input(values: Array) -> float:
 
 
 def answers_measurements(values: Array, outputs: Array) -> bool:
-    """Return whether an input is the answer of a controller to the measurements of its row and the rows before.
+    """Return whether an input is the answer of a controller to the measurements up to its row.
 
-    The noise of a current sensor does not depend on the errors of other sensors. What a controller commands does.
+    The noise of a current sensor does not depend on the errors of other sensors. What a controller commands
+    does.
 
     Args:
         values: Input, shape (n,).
         outputs: Measurements, shape (n, sensors); NaN where there is none.
 
     Returns:
-        True if a linear combination of the measurements has at least half of the input's second differences (mean
-        square).
+        True if a linear combination of the measurements has at least half of the input's second differences
+        (mean square).
     """
     measured = outputs[:, np.isfinite(outputs).mean(axis=0) > 0.5]  # others would leave too few rows
     changes, answered = np.diff(values, 2), np.diff(measured, 2, axis=0)
@@ -87,7 +89,8 @@ def noisy_inputs(recording: Recording, machine: Machine) -> list[int]:
         machine: Machine with its input channels.
 
     Returns:
-        Indices of the inputs whose noise is above 5 % of their root mean square, and is not a controller's answer to
+        Indices of the inputs whose noise is above 5 % of their root mean square, and is not a controller's
+        answer to
             the measurements.
     """
     found = []

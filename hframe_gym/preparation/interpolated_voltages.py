@@ -1,9 +1,9 @@
 """Interpolated voltages: what acts between the rows of a log that is slower than the controller.
 
-A log at 250 Hz has every fourth voltage of a controller at 1 kHz. Held from row to row, these voltages act 1.5 ms late,
-and a fit makes up for that by wrong masses and frictions. Between the rows, they are interpolated instead: by Akima's
-piecewise cubic, because straight lines reduce fast changes (2 % at 20 Hz between rows of 4 ms, which a fit takes for a
-smaller mass), and splines overshoot where a voltage jumps.
+A log at 250 Hz has every fourth voltage of a controller at 1 kHz. Held from row to row, these voltages act
+1.5 ms late, and a fit makes up for that by wrong masses and frictions. Between the rows, they are
+interpolated instead: by Akima's piecewise cubic, because straight lines reduce fast changes (2 % at 20 Hz
+between rows of 4 ms, which a fit takes for a smaller mass), and splines overshoot where a voltage jumps.
 """
 
 from __future__ import annotations
@@ -63,7 +63,8 @@ def mean_inputs(inputs: Array, updates: int, parts: int) -> Array:
     """Return the means of inputs over equal parts of the time from row to row.
 
     Args:
-        inputs: Inputs at `update_times`, each held until the next, V, shape (..., (n - 1) * `updates` + 1, drives).
+        inputs: Inputs at `update_times`, each held until the next, V, shape (..., (n - 1) * `updates` + 1,
+            drives).
         updates: Changes of the inputs from one row to the next.
         parts: Parts from one row to the next.
 

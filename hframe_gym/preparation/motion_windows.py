@@ -1,4 +1,4 @@
-"""Average measured motion and inputs over windows, so that forces and motion can be compared without a simulation."""
+"""Average measured motion and inputs over windows, to compare forces and motion without a simulation."""
 
 from __future__ import annotations
 
@@ -39,15 +39,15 @@ class MotionWindows(NamedTuple):
 def motion_windows(run: PreparedRecording, span: float) -> MotionWindows:
     """Average a run over windows and differentiate it.
 
-    A second difference of positions is the mean acceleration with triangular weights. The inputs are averaged with the
-    same weights, so that both sides of the balance agree exactly, however fast the inputs change.
+    A second difference of positions is the mean acceleration with triangular weights. The inputs are averaged
+    with the same weights, so that both sides of the balance agree exactly, however fast the inputs change.
 
     Args:
         span: Length of a window, s.
 
     Returns:
-        Means and derivatives, m or rad, shape (rows, sensors), with two rows per window; no rows for a run that is
-        shorter than three windows.
+        Means and derivatives, m or rad, shape (rows, sensors), with two rows per window; no rows for a run
+        that is shorter than three windows.
     """
     time_s = run.time_s - run.time_s[0]
     grid = np.arange(span / 2, time_s[-1] - span / 2, span / _OVERLAP)
@@ -55,7 +55,8 @@ def motion_windows(run: PreparedRecording, span: float) -> MotionWindows:
         empty = np.zeros((0, run.outputs.shape[1]))
         return MotionWindows(empty, empty, empty, np.zeros((0, run.inputs.shape[1])))
     bridged = bridge_blanks(run.outputs, time_s, 1.01 * span)
-    # Integral of the inputs, which are held from row to row, or change several times on a line to the next row.
+    # Integral of the inputs, which are held from row to row, or change several times on a line to the next
+    # row.
     changes = 0.5 * (1.0 - 1.0 / run.updates) * np.diff(run.inputs, axis=0)
     first = np.pad(
         np.cumsum((run.inputs[:-1] + changes) * np.diff(time_s)[:, None], axis=0), ((1, 0), (0, 0))
@@ -73,10 +74,11 @@ def motion_windows(run: PreparedRecording, span: float) -> MotionWindows:
     twice = mean(second)
 
     def shifted(rows: int) -> Array:
-        """Return the mean outputs that many grid points later, from the third grid point to the third last one."""
+        """Return mean outputs that many grid points later, from the third grid point to the third last."""
         return outputs[_OVERLAP + rows : len(outputs) - _OVERLAP + rows]
 
-    # Weights that spread as far in time as those of the accelerations, so that fast motion falsifies no coefficient.
+    # Weights that spread as far in time as those of the accelerations, so that fast motion falsifies no
+    # coefficient.
     position = (shifted(-1) + shifted(0) + shifted(1)) / 3
     velocity = (shifted(2) - shifted(-2)) / (6 * span) + (shifted(1) - shifted(-1)) * 2 / (3 * span)
     acceleration = (shifted(2) - 2 * shifted(0) + shifted(-2)) / span**2
@@ -114,8 +116,8 @@ def determined_motion(
         correction: Matrix that multiplies the measurements, shape (sensors, sensors).
 
     Returns:
-        Indices of the motions that the sensors determine; positions, velocities and accelerations of all motions,
-        shape (rows, motions) each. None if the sensors determine no motion.
+        Indices of the motions that the sensors determine; positions, velocities and accelerations of all
+        motions, shape (rows, motions) each. None if the sensors determine no motion.
     """
     measured = np.isfinite(np.concatenate([w.position for w in windows])).any(axis=0)
     usable = np.abs(correction) @ (~measured).astype(float) == 0.0
@@ -140,14 +142,15 @@ def determined_motion(
 class ForceEquations(NamedTuple):
     """Equations for the balance of forces along one rigid motion z, one for each row in which it moves.
 
-    The force F of the drives is columns @ coefficients with coefficients >= 0: inertia relative to the declared one,
-    viscous friction, dry friction, then two for each term of either sign, which are its positive and its negative part.
+    The force F of the drives is columns @ coefficients with coefficients >= 0: inertia relative to the
+    declared one, viscous friction, dry friction, then two for each term of either sign, which are its
+    positive and its negative part.
 
     Attributes:
         motion: Index of the motion, see `leading_motions`.
         force: Force F, N or Nm, shape (rows,).
-        columns: Declared inertial force, z', sign(z'), then both signs of each further term: z minus its mean where a
-            spring is asked for, 1, and for an angle sin(z) and cos(z); shape (rows, coefficients).
+        columns: Declared inertial force, z', sign(z'), then both signs of each further term: z minus its mean
+            where a spring is asked for, 1, and for an angle sin(z) and cos(z); shape (rows, coefficients).
     """
 
     motion: int
@@ -178,8 +181,9 @@ def force_equations(
         spring: Whether a force in proportion to the position is a term.
 
     Yields:
-        Equations, N or Nm, shape (rows,); of some motions too few for a regression (`ForceEquations.determined`). None
-        for a machine with drives whose force is not in proportion to their command.
+        Equations, N or Nm, shape (rows,); of some motions too few for a regression
+        (`ForceEquations.determined`). None for a machine with drives whose force is not in proportion to
+        their command.
     """
     if machine.drive_laws:
         return

@@ -1,8 +1,9 @@
 """Equal time steps for logs whose stamps jitter although the machine was sampled regularly.
 
-A controller measures and commands at equal steps; its messages are stamped when they arrive. A stamp that is late by
-0.1 ms at 0.5 m/s looks like an error of 50 um, many times the resolution of an encoder. Motion is smooth, so that the
-measurements tell which times are true: those at which their fifth differences are smaller.
+A controller measures and commands at equal steps; its messages are stamped when they arrive. A stamp that is
+late by 0.1 ms at 0.5 m/s looks like an error of 50 um, many times the resolution of an encoder. Motion is
+smooth, so that the measurements tell which times are true: those at which their fifth differences are
+smaller.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ from ..machine import Machine
 from ..recordings import Recording
 from .clock_jitter import MIN_JITTER_ROWS, smooth_speed
 
-# Mean squared fifth difference at the stamps / that at equal steps, of the sensor that shows the difference best. Only
-# noise is left where stamps are as good as equal steps (1); 100 us of jitter reach 100 with the encoders of a stage.
+# Mean squared fifth difference at the stamps / that at equal steps, of the sensor that shows the difference
+# best. Only noise is left where stamps are as good as equal steps (1); 100 us of jitter reach 100 with the
+# encoders of a stage.
 _ROUGHER = 2.0
 _FAST = 75.0  # percentile of the speed beyond which errors of the times show
 # Sampling periods; stamps that are farther from equal steps have another cause, such as a slow clock.
@@ -48,8 +50,8 @@ def with_regular_clock(recording: Recording, machine: Machine) -> tuple[Recordin
         recording: Run as logged.
 
     Returns:
-        Copy with other times, s, shape (n,), or the same object; and the standard deviation of the stamps, s, 0 if they
-        are kept.
+        Copy with other times, s, shape (n,), or the same object; and the standard deviation of the stamps, s,
+        0 if they are kept.
     """
     positions = [
         values
@@ -70,8 +72,8 @@ def with_regular_clock(recording: Recording, machine: Machine) -> tuple[Recordin
 def _possible_clocks(time_s: Array) -> Iterator[RegularClock]:
     """Yield equal steps through the stamps, with gaps of whole steps, if the stamps are near such steps.
 
-    A step of 2 ms among steps of 1 ms is a missing row, or the clock counts milliseconds and the period is longer than
-    one. Both are possible.
+    A step of 2 ms among steps of 1 ms is a missing row, or the clock counts milliseconds and the period is
+    longer than one. Both are possible.
     """
     if len(time_s) < MIN_JITTER_ROWS:
         return
@@ -91,7 +93,7 @@ def _possible_clocks(time_s: Array) -> Iterator[RegularClock]:
 
 
 def _roughness_ratio(stamps: Array, regular: Array, values: Array) -> float:
-    """Return how much rougher fast motion of a sensor is if the stamps are true than if the steps are equal."""
+    """Return how much rougher a sensor's fast motion is if the stamps are true than if steps are equal."""
     measured = np.isfinite(values)
     if np.count_nonzero(measured) < MIN_JITTER_ROWS:
         return 1.0

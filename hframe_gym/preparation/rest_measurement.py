@@ -1,9 +1,10 @@
 """Estimate from the first measurements the initial position of a run and the zero of every sensor.
 
-A recording should begin at rest; the rows before the first input change measure the position there. A run that was cut
-out of a longer log begins in motion: its first measurements show the velocity of its first row. The zero of a sensor is
-its measurement at position 0. Sensors with a fixed zero (called lasers here) determine the position of the tool. The
-angles of the pulleys follow from unstretched belts or from encoders whose zero is known.
+A recording should begin at rest; the rows before the first input change measure the position there. A run
+that was cut out of a longer log begins in motion: its first measurements show the velocity of its first row.
+The zero of a sensor is its measurement at position 0. Sensors with a fixed zero (called lasers here)
+determine the position of the tool. The angles of the pulleys follow from unstretched belts or from encoders
+whose zero is known.
 """
 
 from __future__ import annotations
@@ -25,17 +26,18 @@ from .belt_stretch import rigid_basis, vibration_speeds
 from .encoder_zeros import EncoderZeros
 from .initial_rest import NOISE_TOLERANCE, SPEED_ZERO_ERROR, count_resting_rows, measurement_noise
 
-# Weights of encoders that matter only where no laser measures: behind stretched belts, and with an unknown zero.
+# Weights of encoders that matter only where no laser measures: behind stretched belts, and with an unknown
+# zero.
 _STRETCHED_WEIGHT, _FALLBACK_WEIGHT = 1e-3, 1e-6
 _STRETCH_RESIDUAL = 1.0 / 3.0  # of the belts' stretch under the drives' force, which a linear model leaves
-# Durations, s, of the first measurements to which parabolas are fitted: short ones for fast changes, long ones for much
-# noise. Their smallest number of rows is more than twice that of a parabola's coefficients.
+# Durations, s, of the first measurements to which parabolas are fitted: short ones for fast changes, long
+# ones for much noise. Their smallest number of rows is more than twice that of a parabola's coefficients.
 _FITTED_S, _MIN_FITTED_ROWS = (0.005, 0.01, 0.02, 0.04), 8
 # s from the first row, in which the simulations from rest and with each velocity are compared.
 _COMPARED_S = 0.05
 _SIGNIFICANT_SPEED = 5.0  # In standard deviations; noise hardly ever reaches it.
-# Of two velocities, one is certainly better if its sum of squared errors is less than this fraction of the other's. The
-# sum contains model errors, which do not average out, so no test for independent errors applies.
+# Of two velocities, one is certainly better if its sum of squared errors is less than this fraction of the
+# other's. The sum contains model errors, which do not average out, so no test for independent errors applies.
 _CERTAIN_COST_RATIO = 0.5
 _MIN_ERROR = 0.2  # Fraction of the speed; vibrating belts and curved motion falsify the slope of a parabola.
 
@@ -44,9 +46,11 @@ class InitialVelocity(NamedTuple):
     """The velocity with which a run begins.
 
     Attributes:
-        mean: Velocities of the coordinates, m/s or rad/s, shape (coordinates,); zero for a run that begins at rest.
-        deviations: Matrix D of independent errors of the velocities, one per row, shape (errors, coordinates); D^T D is
-            the covariance of the velocities. No rows if the run begins at rest or no velocity is significant.
+        mean: Velocities of the coordinates, m/s or rad/s, shape (coordinates,); zero for a run that begins at
+            rest.
+        deviations: Matrix D of independent errors of the velocities, one per row,
+            shape (errors, coordinates); D^T D is the covariance of the velocities. No rows if the run begins
+            at rest or no velocity is significant.
     """
 
     mean: Array
@@ -71,29 +75,31 @@ class InitialState:
     """The measured initial state of one run.
 
     Attributes:
-        state: Positions (m, rad), then velocities (m/s, rad/s), at the first row, shape (2 * coordinates,). The
-            velocities are zero unless the run begins in motion.
-        zeros: Zeros of the sensors (measurements at position 0), in the sensors' units, shape (sensors,); the argument
-            `offset` of `simulate`.
+        state: Positions (m, rad), then velocities (m/s, rad/s), at the first row, shape (2 * coordinates,).
+            The velocities are zero unless the run begins in motion.
+        zeros: Zeros of the sensors (measurements at position 0), in the sensors' units, shape (sensors,); the
+            argument `offset` of `simulate`.
         resting_rows: Number of rows at rest at the beginning of the run.
-        zero_spread: Standard deviation of each encoder's zero from run to run, in the sensors' units, shape (sensors,);
-            0 for an encoder without a known zero, and for one that does not resolve the stretch of the belts.
+        zero_spread: Standard deviation of each encoder's zero from run to run, in the sensors' units,
+            shape (sensors,); 0 for an encoder without a known zero, and for one that does not resolve the
+            stretch of the belts.
         zeros_refined: Whether a fitted machine has corrected the encoders' zeros.
         position_measured: Whether sensors with a known zero measure the position at rest.
         lasers_measured: Whether sensors with a fixed zero alone measure the position at rest.
-        position_known: Whether sensors with a known zero determine the position at rest, by measurements at rest or
-            later ones.
-        zeroed_measurement: Measurements at rest minus the known zeros, m or rad, NaN where there is none, shape
-            (sensors,).
+        position_known: Whether sensors with a known zero determine the position at rest, by measurements at
+            rest or later ones.
+        zeroed_measurement: Measurements at rest minus the known zeros, m or rad, NaN where there is none,
+            shape (sensors,).
         measured_at_rest: Whether each sensor measured something at rest, shape (sensors,).
-        position_matrix: Matrix that computes the positions with unstretched belts from `zeroed_measurement` (with 0
-            instead of NaN), shape (coordinates, sensors).
-        velocity_deviations: Independent errors of the velocities, one per row, each of the size of one standard
-            deviation, m/s or rad/s, shape (errors, coordinates); no rows if the run begins at rest.
-        start_offset: What a fitted machine added to the positions (m, rad) and velocities (m/s, rad/s) from which it is
-            simulated, shape (2 * coordinates,): a stretch of the belts that the measurements at rest do not show.
-        effect_states: States of the machine's effects (hysteresis, bristles) at the start, in their units, by label and
-            component of the effect; an effect without an entry starts at zero.
+        position_matrix: Matrix that computes the positions with unstretched belts from `zeroed_measurement`
+            (with 0 instead of NaN), shape (coordinates, sensors).
+        velocity_deviations: Independent errors of the velocities, one per row, each of the size of one
+            standard deviation, m/s or rad/s, shape (errors, coordinates); no rows if the run begins at rest.
+        start_offset: What a fitted machine added to the positions (m, rad) and velocities (m/s, rad/s) from
+            which it is simulated, shape (2 * coordinates,): a stretch of the belts that the measurements at
+            rest do not show.
+        effect_states: States of the machine's effects (hysteresis, bristles) at the start, in their units, by
+            label and component of the effect; an effect without an entry starts at zero.
         warnings: What could not be measured and what is assumed instead, one sentence each.
     """
 
@@ -114,10 +120,11 @@ class InitialState:
     warnings: tuple[str, ...] = field(default=())
 
     def start(self, machine: Machine) -> Array:
-        """Return the complete initial state, as `simulate` takes it: positions, velocities and states of the effects.
+        """Return the complete initial state, as for `simulate`: positions, velocities, states of effects.
 
         Returns:
-            Positions (m, rad), velocities (m/s, rad/s), effect states (SI), shape (2 * coordinates + effect states,).
+            Positions (m, rad), velocities (m/s, rad/s), effect states (SI),
+            shape (2 * coordinates + effect states,).
         """
         states = [
             self.effect_states.get((i.effect.label, i.component), 0.0) for i in instances_with_state(machine)
@@ -129,11 +136,12 @@ class InitialState:
 
         Args:
             machine: Machine with its effects, which name the last entries of `start`.
-            start: Positions (m, rad), velocities (m/s, rad/s), effect states (SI), shape (2 * coordinates + effect
-                states,).
+            start: Positions (m, rad), velocities (m/s, rad/s), effect states (SI),
+                shape (2 * coordinates + effect states,).
 
         Returns:
-            Copy whose `state`, shape (2 * coordinates,), and `effect_states` hold the values of the argument `start`.
+            Copy whose `state`, shape (2 * coordinates,), and `effect_states` hold the values of the argument
+            `start`.
         """
         names = [(i.effect.label, i.component) for i in instances_with_state(machine)]
         state, states = np.split(start, [len(start) - len(names)])
@@ -143,17 +151,17 @@ class InitialState:
 
     @property
     def resolves_stretch(self) -> NDArray[np.bool_]:
-        """Whether each encoder kept its zero in all runs and measures the stretch of the belts, shape (sensors,)."""
+        """Whether each encoder kept its zero in all runs and measures belt stretch, shape (sensors,)."""
         return self.zero_spread > 0.0
 
     @property
     def position(self) -> Array:
-        """Positions at rest, or at the first row of a run that begins in motion, m or rad, shape (coordinates,)."""
+        """Positions at rest, or in the first row of a moving run, m or rad, shape (coordinates,)."""
         return self.state[: len(self.state) // 2]
 
     @property
     def velocity(self) -> Array:
-        """Velocities at the run's first row, m/s or rad/s, shape (coordinates,); zero if the run begins at rest."""
+        """Velocities at the run's first row, m/s or rad/s, shape (coordinates,); zero if at rest."""
         return self.state[len(self.state) // 2 :]
 
 
@@ -174,11 +182,11 @@ def estimate_initial_state(
 ) -> InitialState:
     """Estimate the state at rest and the sensors' zeros (measurements at position 0) from one run.
 
-    Sensors with a known zero determine the position: lasers, whose zero is fixed, and encoders whose zero is given.
-    Other encoders are used only where nothing else measures; one on a coordinate whose position is commanded then
-    counts from where the command holds it, and without any sensor the coordinate is there. Only encoders with a
-    known zero measure a stretch of the belts. A laser that is saturated at rest is replaced by its later
-    measurements minus the encoders' displacement.
+    Sensors with a known zero determine the position: lasers, whose zero is fixed, and encoders whose zero is
+    given. Other encoders are used only where nothing else measures; one on a coordinate whose position is
+    commanded then counts from where the command holds it, and without any sensor the coordinate is there.
+    Only encoders with a known zero measure a stretch of the belts. A laser that is saturated at rest is
+    replaced by its later measurements minus the encoders' displacement.
 
     Args:
         recording: The run; saturated measurements are NaN.
@@ -186,8 +194,8 @@ def estimate_initial_state(
         zeros: Zeros of the encoders, from all runs together. Default: unknown.
 
     Returns:
-        Positions at rest, m or rad, zeros of the sensors, shape (sensors,), and warnings. A run that begins in motion
-        has the velocity and the positions of its first row.
+        Positions at rest, m or rad, zeros of the sensors, shape (sensors,), and warnings. A run that begins
+        in motion has the velocity and the positions of its first row.
     """
     rows = count_resting_rows(recording, machine)
     zeros = zeros or EncoderZeros.of_machine(machine).without(np.ones(len(machine.sensors), np.bool_))
@@ -241,8 +249,9 @@ def estimate_initial_state(
 def _measurement_at_rest(values: Array, resting_rows: int, sensor: Sensor) -> float:
     """Return what a sensor measures at rest, in its unit; NaN if that is not known.
 
-    It is the mean of the later half of the rows at rest or, if the sensor measured nothing there, of all of them. An
-    encoder counts from an unknown zero, so that its first measurement after the rest is much better than none.
+    It is the mean of the later half of the rows at rest or, if the sensor measured nothing there, of all of
+    them. An encoder counts from an unknown zero, so that its first measurement after the rest is much better
+    than none.
     """
     for rows in (settled_rows(resting_rows), slice(resting_rows)):
         if np.isfinite(values[rows]).any():
@@ -252,10 +261,11 @@ def _measurement_at_rest(values: Array, resting_rows: int, sensor: Sensor) -> fl
 
 
 def _zeros_by_command(recording: Recording, machine: Machine, resting_rows: int) -> Array:
-    """Return the zero of each encoder on a coordinate with a commanded position, shape (sensors,); 0 for other sensors.
+    """Return each encoder's zero on a coordinate of commanded position, shape (sensors,); else 0.
 
-    At rest the coordinate is where its command holds it. A run that begins in motion follows its command with a lag, so
-    that its zero is known only where encoder and command are further apart than they move against each other.
+    At rest the coordinate is where its command holds it. A run that begins in motion follows its command with
+    a lag, so that its zero is known only where encoder and command are further apart than they move against
+    each other.
     """
     found = np.zeros(len(machine.sensors))
     for j, sensor in enumerate(machine.sensors):
@@ -275,7 +285,7 @@ def _zeros_by_command(recording: Recording, machine: Machine, resting_rows: int)
 def _position_matrix(
     machine: Machine, zeros: EncoderZeros, usable: NDArray[np.bool_], *, moving: bool
 ) -> Array:
-    """Return the matrix (coordinates, sensors) that gives positions from usable measurements, by least squares.
+    """Return the matrix (coordinates, sensors) to positions from usable measurements, by least squares.
 
     In a run that begins in motion, the drives stretch the belts.
     """
@@ -296,7 +306,8 @@ def _position_matrix(
 def _located(recording: Recording, machine: Machine, position_matrix: Array, zeroed: Array) -> Array:
     """Return the positions at the first row, m or rad, shape (coordinates,), from measurements minus zeros.
 
-    In directions that no sensor of a position measures, the machine is where its commands hold it, or else at 0.
+    In directions that no sensor of a position measures, the machine is where its commands hold it, or else at
+    0.
     """
     seen = machine.sensor_matrix[np.isfinite(zeroed)] @ rigid_basis(machine)
     if not machine.position_commands or _rank(seen) == seen.shape[1]:
@@ -311,10 +322,11 @@ def _rank(rows: Array) -> int:
 
 
 def _later_measurements(recording: Recording, at_rest: Array, machine: Machine, rigid: Array) -> Array:
-    """Return what each sensor would have measured at rest, shape (sensors,), from its later rows; NaN if impossible.
+    """Return what each sensor would have measured at rest, (sensors,), from its later rows, or NaN.
 
-    The displacement that the encoders measure since the rest is subtracted. While the drives pull, the stretch of the
-    belts makes it wrong; a linear regression on voltages, speeds and directions of the motors removes this error.
+    The displacement that the encoders measure since the rest is subtracted. While the drives pull, the
+    stretch of the belts makes it wrong; a linear regression on voltages, speeds and directions of the motors
+    removes this error.
     """
     unknown = np.full(len(machine.sensors), np.nan)
     encoders = np.array([s.incremental for s in machine.sensors]) & np.isfinite(at_rest)
@@ -361,26 +373,31 @@ def initial_velocity(
 ) -> InitialVelocity:
     """Estimate the velocity of a run whose first row is not at rest, from its first measurements.
 
-    Parabolas are fitted to each sensor's measurements in the first 5, 10, 20 and 40 ms (at least eight rows, half of
-    them measured). For each duration, weighted least squares convert the slopes of the parabolas at the first row to
-    velocities of the rigid motions (those that stretch no belt). Zero velocity is a candidate as well, because a run
-    that is driven from its first row on has such slopes even if it begins at rest. The machine is simulated over 50 ms
-    with each candidate. The one with the smallest sum of squared errors is chosen; others with at most twice this sum
-    remain possible. The declared machine may be wrong; one that is far too light moves alike from any start. Therefore
-    zero is not chosen where uniform motion at one of the velocities, without any machine, leaves less than half of the
-    squared errors of the simulation from rest, nor where a sensor of a speed shows motion in the first row, which
-    precedes what the input of that row causes.
+    Parabolas are fitted to each sensor's measurements in the first 5, 10, 20 and 40 ms (at least eight rows,
+    half of them measured). For each duration, weighted least squares convert the slopes of the parabolas at
+    the first row to velocities of the rigid motions (those that stretch no belt). Zero velocity is a
+    candidate as well, because a run that is driven from its first row on has such slopes even if it begins at
+    rest. The machine is simulated over 50 ms with each candidate. The one with the smallest sum of squared
+    errors is chosen; others with at most twice this sum remain possible. The declared machine may be wrong;
+    one that is far too light moves alike from any start. Therefore zero is not chosen where uniform motion at
+    one of the velocities, without any machine, leaves less than half of the squared errors of the simulation
+    from rest, nor where a sensor of a speed shows motion in the first row, which precedes what the input of
+    that row causes.
 
     Args:
         recording: The run (times, s; voltages, V; measurements, m or rad, NaN where not measured).
-        rigid: Rigid motions, one per column: displacements of the coordinates, m or rad, shape (coordinates, motions).
-        position: Position at the first row, m or rad, shape (coordinates,). Forces may depend on it (cogging, cables).
+        rigid: Rigid motions, one per column: displacements of the coordinates, m or rad,
+            shape (coordinates, motions).
+        position: Position at the first row, m or rad, shape (coordinates,). Forces may depend on it (cogging,
+            cables).
 
     Returns:
         mean: Velocities of the coordinates, m/s or rad/s, shape (coordinates,).
-        deviations: D, shape (errors, coordinates); the covariance D^T D is that of the slopes (noise, vibration of the
-            belts) plus the square of 20 % of the speed, or of the difference to the farthest candidate that is possible
-            if this is larger. Zeros and no errors if only rest is possible, or no velocity is significant.
+        deviations: D, shape (errors, coordinates); the covariance D^T D is that of the slopes (noise,
+        vibration of the
+            belts) plus the square of 20 % of the speed, or of the difference to the farthest candidate that
+            is possible if this is larger. Zeros and no errors if only rest is possible, or no velocity is
+            significant.
     """
     at_rest = InitialVelocity.at_rest(machine)
     if len(recording.time_s) <= _MIN_FITTED_ROWS:
@@ -425,7 +442,7 @@ def initial_velocity(
 
 
 def _shows_speed(recording: Recording, machine: Machine, noise: Array) -> bool:
-    """Return whether a sensor of a speed shows more in the first row than its noise and the error of its zero."""
+    """Return whether a sensor of a speed shows more in the first row than its noise and zero's error."""
     of_velocity = np.array([sensor.of_velocity for sensor in machine.sensors], np.bool_)
     least = np.maximum(NOISE_TOLERANCE * noise, SPEED_ZERO_ERROR * peak_to_peak(recording.outputs))
     return bool(np.any(of_velocity & (np.abs(recording.outputs[0]) > least)))
@@ -444,10 +461,10 @@ def _fit_velocity(
     vibration: Array,
     of_velocity: NDArray[np.bool_],
 ) -> tuple[Array, Array] | None:
-    """Return the velocities of the rigid motions at the first row and their covariance, from parabolas over `rows`.
+    """Return the rigid motions' velocities at the first row and their covariance, by parabolas over `rows`.
 
-    Sensors `of_velocity` give the velocity by the value of their parabola; each sensor measures the speed `vibration`
-    in addition to the rigid motions. None if the velocities are not significant or not measured.
+    Sensors `of_velocity` give the velocity by the value of their parabola; each sensor measures the speed
+    `vibration` in addition to the rigid motions. None if the velocities are not significant or not measured.
     """
     time_s = recording.time_s - recording.time_s[0]
     slopes, deviations = np.zeros(len(noise)), np.full(len(noise), np.inf)
@@ -468,7 +485,7 @@ def _fit_velocity(
 
 
 def _errors_of_starts(states: Array, recording: Recording, machine: Machine, noise: Array) -> Array:
-    """Return the errors of simulations from the given states over the first 50 ms, shape (starts, rows, sensors)."""
+    """Return errors of simulations from given states over the first 50 ms, shape (starts, rows, sensors)."""
     rows = _rows_within(recording, _COMPARED_S)
     time_s = recording.time_s[:rows] - recording.time_s[0]
     motion = simulate_batch(machine, time_s, recording.inputs[:rows], start=states, states=False)
@@ -476,7 +493,7 @@ def _errors_of_starts(states: Array, recording: Recording, machine: Machine, noi
 
 
 def _errors_of_uniform_motion(speeds: Array, recording: Recording, machine: Machine, noise: Array) -> Array:
-    """Return the errors of sensors that see the given speeds (starts, sensors) throughout, like `_errors_of_starts`."""
+    """Return errors of sensors that see given speeds (starts, sensors) throughout, as `_errors_of_starts`."""
     rows = _rows_within(recording, _COMPARED_S)
     time_s = recording.time_s[:rows] - recording.time_s[0]
     of_time = np.where(machine.position_sensors, time_s[:, None], 1.0)

@@ -22,10 +22,11 @@ def saturation_ranges(
 ) -> dict[str, Range]:
     """Find the lasers that saturate: they stay at the end of their measuring range while the machine moves.
 
-    A laser is a sensor with a fixed zero. It saturates at its largest (or smallest) measurement if two conditions hold,
-    whose thresholds are those of the default `criteria`: at least 1 % of all rows are within 8 standard deviations of
-    the noise from this measurement, and by the encoders, the laser's coordinate moves in these rows by at least 300
-    standard deviations of the laser's noise. Without belts or encoders, nothing is found.
+    A laser is a sensor with a fixed zero. It saturates at its largest (or smallest) measurement if two
+    conditions hold, whose thresholds are those of the default `criteria`: at least 1 % of all rows are within
+    8 standard deviations of the noise from this measurement, and by the encoders, the laser's coordinate
+    moves in these rows by at least 300 standard deviations of the laser's noise. Without belts or encoders,
+    nothing is found.
 
     Args:
         recordings: All runs of the rig.
@@ -33,8 +34,9 @@ def saturation_ranges(
         noise: Standard deviations of the sensors' noise, in the sensors' units, shape (sensors,).
 
     Returns:
-        Lower and upper end of the measuring range, m or rad, by channel of each saturating laser. For an end that the
-        laser never reached, -10 or +10 times the largest magnitude of its measurements. Empty if none saturates.
+        Lower and upper end of the measuring range, m or rad, by channel of each saturating laser. For an end
+        that the laser never reached, -10 or +10 times the largest magnitude of its measurements. Empty if
+        none saturates.
     """
     ranges: dict[str, Range] = {}
     positions_by_run = [_positions_from_encoders(r, machine) for r in recordings]
@@ -45,7 +47,8 @@ def saturation_ranges(
         channel = [r.outputs[:, j] for r in recordings]
         motion = [positions[:, i] for positions in positions_by_run]
         ends = [_end(channel, motion, float(noise[j]), sign, 1.0, criteria) for sign in (-1.0, 1.0)]
-        # A sensor that saturates at one end probably does so at the other as well; less evidence suffices there.
+        # A sensor that saturates at one end probably does so at the other as well; less evidence suffices
+        # there.
         if any(end is not None for end in ends):
             factor = criteria.second_end_factor
             ends = [_end(channel, motion, float(noise[j]), sign, factor, criteria) for sign in (-1.0, 1.0)]
@@ -58,7 +61,7 @@ def saturation_ranges(
 
 
 def _positions_from_encoders(recording: Recording, machine: Machine) -> Array:
-    """Return the displacements (n, coordinates) since the first row by the encoders, with unstretched belts."""
+    """Return the displacements (n, coordinates) since the first row by encoders, with unstretched belts."""
     encoders = [j for j, sensor in enumerate(machine.sensors) if sensor.incremental]
     count = len(machine.coordinates)
     if not encoders or not machine.belts:
@@ -78,7 +81,7 @@ def _end(
     factor: float,
     criteria: SaturationCriteria,
 ) -> float | None:
-    """Return where a sensor saturates at the upper (sign 1) or lower end (-1), or None; `factor` scales thresholds."""
+    """Return where a sensor saturates at the upper (1) or lower end (-1), or None; `factor` scales limits."""
     outward = sign * np.concatenate(channel)
     if not np.isfinite(outward).any():
         return None
@@ -105,12 +108,13 @@ def blank_saturated(
 ) -> Recording:
     """Copy a recording, with NaN in place of saturated measurements.
 
-    A measurement is saturated if it lies beyond an end of the sensor's range, or inside the range but closer to an end
-    than 4 standard deviations of the noise (half of `criteria.saturation_band`). Beside a saturated row, 8 count
-    instead of 4: of many saturated measurements, noise puts some further inside the range.
+    A measurement is saturated if it lies beyond an end of the sensor's range, or inside the range but closer
+    to an end than 4 standard deviations of the noise (half of `criteria.saturation_band`). Beside a saturated
+    row, 8 count instead of 4: of many saturated measurements, noise puts some further inside the range.
 
     Args:
-        ranges: Lower and upper end of the measuring range by channel name, m or rad. Other channels are unchanged.
+        ranges: Lower and upper end of the measuring range by channel name, m or rad. Other channels are
+            unchanged.
         noise: Standard deviations of the sensors' noise, in the sensors' units, shape (sensors,).
     """
     outputs = recording.outputs.copy()
@@ -128,12 +132,12 @@ def blank_saturated(
 def range_effects(
     ranges: Mapping[str, Range], selected: Sequence[AppliedEffect] = ()
 ) -> tuple[AppliedEffect, ...]:
-    """Convert the ranges of saturated sensors to effects ``sensor_range``, which limit the measurements of a machine.
+    """Convert the ranges of saturated sensors to effects ``sensor_range``, which limit measurements.
 
     Args:
         ranges: Lower and upper end of the measuring range by channel name, m or rad.
-        selected: Effects that the search selected. If one of them is the ``sensor_range`` of the same sensor, the
-            intersection of both ranges is used.
+        selected: Effects that the search selected. If one of them is the ``sensor_range`` of the same sensor,
+            the intersection of both ranges is used.
 
     Returns:
         One effect per channel in `ranges`, with the parameters `low` and `high`, m or rad.

@@ -26,8 +26,8 @@ def sensor_quantum(channel: Sequence[Array], resolution: float) -> float:
         resolution: Declared resolution, m or rad, 0 if there is none.
 
     Returns:
-        Median of the quanta of single runs, m or rad. A run without a recognizable quantum, such as one with hardly any
-        motion, does not count. If no run has one, the declared resolution.
+        Median of the quanta of single runs, m or rad. A run without a recognizable quantum, such as one with
+        hardly any motion, does not count. If no run has one, the declared resolution.
     """
     quanta = [quantum for quantum in map(quantum_of, channel) if quantum > 0.0]
     return float(np.median(quanta)) if quanta else resolution
@@ -41,14 +41,15 @@ def noise_at_rest(channel: Sequence[Array], resting_rows: Sequence[int]) -> floa
         resting_rows: Number of rows at rest at the beginning of each run.
 
     Returns:
-        Standard deviation around a parabola in each run, m or rad. Runs with fewer than 10 measurements at rest do not
-        count. None if the others have too few (about 30 in total).
+        Standard deviation around a parabola in each run, m or rad. Runs with fewer than 10 measurements at
+        rest do not count. None if the others have too few (about 30 in total).
     """
     squares, rows = 0.0, 0
     for values, count in zip(channel, resting_rows, strict=True):
         at_rest = values[:count][np.isfinite(values[:count])]
         if len(at_rest) >= 10:
-            # A parabola is subtracted: a machine that still creeps to rest is not noise. Equal values have none.
+            # A parabola is subtracted: a machine that still creeps to rest is not noise. Equal values have
+            # none.
             grid = np.linspace(-1.0, 1.0, len(at_rest))
             parabola = (
                 np.polynomial.polynomial.polyfit(grid, at_rest, 2) if np.ptp(at_rest) > 0.0 else at_rest[:1]
@@ -63,8 +64,9 @@ def sensor_noise(
 ) -> float:
     """Estimate the standard deviation of a sensor's noise.
 
-    The first of these sources that is available is used: about 30 measurements at rest, the declared value, third
-    differences of the measurements. For a sensor with a quantum, deviations from a smooth curve (Savitzky and Golay
+    The first of these sources that is available is used: about 30 measurements at rest, the declared value,
+    third differences of the measurements. For a sensor with a quantum, deviations from a smooth curve
+    (Savitzky and Golay
     1964) replace the third differences if they are smaller. The result is at least the rounding error,
     quantum / sqrt(12).
 
@@ -78,18 +80,20 @@ def sensor_noise(
         Standard deviation, m or rad.
     """
     rounding, at_rest = quantum / np.sqrt(12), noise_at_rest(channel, resting_rows)
-    # An estimate of zero (a channel without any noise) is replaced by the declared value or by the differences.
+    # An estimate of zero (a channel without any noise) is replaced by the declared value or by the
+    # differences.
     if at_rest is not None:
         return max(at_rest, rounding) or declared or difference_noise(channel)
     if declared or not quantum:
         return max(rounding, declared or difference_noise(channel))
-    # The steps of slow motion raise third differences, vibration the deviations from a curve; noise raises both.
+    # The steps of slow motion raise third differences, vibration the deviations from a curve; noise raises
+    # both.
     estimate = min(difference_noise(channel), _curve_noise(channel))
     return estimate if estimate > _ROUNDING_ACCURACY * rounding else rounding
 
 
 def difference_noise(channel: Sequence[Array]) -> float:
-    """Estimate a sensor's noise from third differences, which smooth motion hardly changes (von Neumann 1941).
+    """Estimate a sensor's noise from third differences, hardly changed by motion (von Neumann 1941).
 
     Args:
         channel: Measurements of the sensor by run, m or rad, each of shape (n,), NaN where not measured.
@@ -104,7 +108,7 @@ def difference_noise(channel: Sequence[Array]) -> float:
 
 
 def _curve_noise(channel: Sequence[Array]) -> float:
-    """Estimate a sensor's noise, m or rad, from deviations from parabolas over 21 measurements; infinite if fewer."""
+    """Estimate a sensor's noise, m or rad, from deviations from parabolas over 21 rows; infinite if fewer."""
     runs = [values[np.isfinite(values)] for values in channel]
     deviations = [v - savgol_filter(v, _CURVE_ROWS, 2) for v in runs if len(v) >= _CURVE_ROWS]
     if not deviations:
@@ -116,18 +120,19 @@ def _curve_noise(channel: Sequence[Array]) -> float:
 def independent_values(time_s: Array, outputs: Array, quanta: Array) -> Array:
     """Return the weight of each measurement in a sum of squared errors: 1 if its error is independent.
 
-    While a quantized sensor is at rest, all its measurements are equal and have the same rounding error. They count as
-    one measurement: N equal measurements have the weight 1 / N each. A sensor counts as at rest if its measurement
-    stays the same for more than 20 ms.
+    While a quantized sensor is at rest, all its measurements are equal and have the same rounding error. They
+    count as one measurement: N equal measurements have the weight 1 / N each. A sensor counts as at rest if
+    its measurement stays the same for more than 20 ms.
 
     Args:
         time_s: Sample times, s, shape (n,).
         outputs: Measurements, in the sensors' units, shape (n, sensors), NaN where not measured.
-        quanta: Quantization steps of the sensors, in the sensors' units, 0 where there is none, shape (sensors,).
+        quanta: Quantization steps of the sensors, in the sensors' units, 0 where there is none,
+            shape (sensors,).
 
     Returns:
-        Weights, dimensionless, shape (n, sensors): 0 where not measured; 1 / N at rest; 1 in motion, and for sensors
-        without quantization.
+        Weights, dimensionless, shape (n, sensors): 0 where not measured; 1 / N at rest; 1 in motion, and for
+        sensors without quantization.
     """
     counts = np.isfinite(outputs).astype(float)
     for values, count, quantum in zip(outputs.T, counts.T, quanta, strict=True):

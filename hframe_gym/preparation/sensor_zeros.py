@@ -20,20 +20,23 @@ _MOVING_STRETCH = 4.0  # times the typical stretch of the belts at the start of 
 def sensor_zero_error(
     error: Array, weights: Array, resting_rows: int, max_mean: Array, quanta: Array
 ) -> Array:
-    """Estimate the errors of the sensors' zeros (measurements at position 0) from prediction errors over a run.
+    """Estimate the errors of the sensors' zeros (measurements at position 0) from prediction errors.
 
-    The estimate is the mean error over the complete run, limited to the range +-`max_mean` around the mean error over
-    the later half of the rows at rest. The limit is needed because a constant force may also cause a mean error. For a
-    sensor without quantization, the first five rows of the run replace a single row at rest, which has the noise of one
-    measurement.
+    The estimate is the mean error over the complete run, limited to the range +-`max_mean` around the mean
+    error over the later half of the rows at rest. The limit is needed because a constant force may also cause
+    a mean error. For a sensor without quantization, the first five rows of the run replace a single row at
+    rest, which has the noise of one measurement.
 
     Args:
-        error: Measured minus predicted values over n samples, m or rad, 0 if not measured, shape (batch, n, sensors).
-        weights: Weights of the measurements in the means, dimensionless, 0 where not measured, shape (n, sensors).
+        error: Measured minus predicted values over n samples, m or rad, 0 if not measured,
+            shape (batch, n, sensors).
+        weights: Weights of the measurements in the means, dimensionless, 0 where not measured,
+            shape (n, sensors).
         resting_rows: Number of rows at rest at the beginning of the run, at least 1.
-        max_mean: Largest difference between estimate and mean error at rest, in the sensors' units, shape (sensors,);
-            infinite for no limit.
-        quanta: Quantization steps of the sensors, in the sensors' units, 0 where there is none, shape (sensors,).
+        max_mean: Largest difference between estimate and mean error at rest, in the sensors' units,
+            shape (sensors,); infinite for no limit.
+        quanta: Quantization steps of the sensors, in the sensors' units, 0 where there is none,
+            shape (sensors,).
 
     Returns:
         Errors of the zeros, in the sensors' units, shape (batch, 1, sensors), to be subtracted from `error`.
@@ -50,15 +53,16 @@ def sensor_zero_error(
 def zeros_from_means(
     mean: Callable[[slice], Array], rows: int, resting_rows: int, max_mean: Array, quanta: Array
 ) -> Array:
-    """Estimate the errors of the sensors' zeros (`sensor_zero_error`) from mean prediction errors over some rows.
+    """Estimate the errors of the sensors' zeros (`sensor_zero_error`) from mean errors over some rows.
 
     Args:
         mean: Function that returns the mean error over rows, in the sensors' units, shape (batch, sensors).
         rows: Number of rows of the run.
         resting_rows: Number of rows at rest at the beginning of the run, at least 1.
-        max_mean: Largest difference between estimate and mean error at rest, in the sensors' units, shape (sensors,);
-            infinite for no limit.
-        quanta: Quantization steps of the sensors, in the sensors' units, 0 where there is none, shape (sensors,).
+        max_mean: Largest difference between estimate and mean error at rest, in the sensors' units,
+            shape (sensors,); infinite for no limit.
+        quanta: Quantization steps of the sensors, in the sensors' units, 0 where there is none,
+            shape (sensors,).
 
     Returns:
         Errors of the zeros, in the sensors' units, shape (batch, sensors).
@@ -73,35 +77,39 @@ def zeros_from_means(
 def max_zero_means(behind: NDArray[np.bool_], quanta: Array) -> Array:
     """Return how far the zero of each sensor may differ from its estimate by the rows at rest.
 
-    The zero is the measurement at position 0. The rows at rest determine it only to within the quantization; for an
-    encoder behind belts not at all, because friction holds an unknown stretch of the belts at rest. Up to these limits,
-    `sensor_zero_error` counts the mean prediction error over a run as an error of the zero.
+    The zero is the measurement at position 0. The rows at rest determine it only to within the quantization;
+    for an encoder behind belts not at all, because friction holds an unknown stretch of the belts at rest. Up
+    to these limits, `sensor_zero_error` counts the mean prediction error over a run as an error of the zero.
 
     Args:
         behind: True for encoders on pulleys, which elastic belts separate from the tool, shape (sensors,).
-        quanta: Quantization steps of the sensors, in the sensors' units, 0 where there is none, shape (sensors,).
+        quanta: Quantization steps of the sensors, in the sensors' units, 0 where there is none,
+            shape (sensors,).
 
     Returns:
-        Limits, in the sensors' units, shape (sensors,): infinite behind belts, otherwise half a quantization step.
+        Limits, in the sensors' units, shape (sensors,): infinite behind belts, otherwise half a quantization
+        step.
     """
     return np.where(behind, np.inf, quanta / 2)
 
 
 def max_reported_zero_means(machine: Machine, initial: InitialState, quanta: Array) -> Array:
-    """Return how far, in a reported error, the zero of each sensor may differ from its estimate by the rows at rest.
+    """Return how far, in a reported error, each sensor's zero may differ from its estimate at rest.
 
-    A search compares machines without a limit for encoders behind belts, see `max_zero_means`. In a reported error,
-    the zero accounts only for what the stretch of the belts at the start can cause. The rest of a mean error over the
-    run is an error of the model.
+    A search compares machines without a limit for encoders behind belts, see `max_zero_means`. In a reported
+    error, the zero accounts only for what the stretch of the belts at the start can cause. The rest of a mean
+    error over the run is an error of the model.
 
     Args:
         machine: Machine whose error is reported.
         initial: Initial state of the run.
-        quanta: Quantization steps of the sensors, in the sensors' units, 0 where there is none, shape (sensors,).
+        quanta: Quantization steps of the sensors, in the sensors' units, 0 where there is none,
+            shape (sensors,).
 
     Returns:
-        Limits, in the sensors' units, shape (sensors,): half a quantization step; behind belts, what `zero_tolerance`
-        permits, and for a run that begins in motion four times the stretch that the drives typically cause.
+        Limits, in the sensors' units, shape (sensors,): half a quantization step; behind belts, what
+        `zero_tolerance` permits, and for a run that begins in motion four times the stretch that the drives
+        typically cause.
     """
     behind = behind_belts(machine)
     limits = max_zero_means(free_zeros(machine) & ~behind, quanta)
@@ -135,5 +143,5 @@ def free_zeros(machine: Machine) -> NDArray[np.bool_]:
 
 
 def has_zero(machine: Machine) -> NDArray[np.bool_]:
-    """Return which sensors have a zero to estimate: those of positions, and those with an offset, shape (sensors,)."""
+    """Return which sensors have a zero to estimate: of positions or with an offset, shape (sensors,)."""
     return machine.position_sensors | free_zeros(machine)

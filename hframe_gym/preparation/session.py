@@ -1,4 +1,4 @@
-"""All runs of a session, prepared for a fit: gaps filled, initial states, zeros and noise of the sensors estimated."""
+"""All runs of a session, prepared for a fit: gaps filled, initial states, zeros, noise estimated."""
 
 from __future__ import annotations
 
@@ -38,14 +38,15 @@ class Session(NamedTuple):
     """Runs of a session as they can be fitted.
 
     Attributes:
-        machine: Machine as declared, but with the directions of the drives that the runs show, and without sensors of
-            positions if no run measures any.
+        machine: Machine as declared, but with the directions of the drives that the runs show, and without
+            sensors of positions if no run measures any.
         recordings: The runs as logged, from their first measurement on if they do not begin at rest.
-        usable: The same without measurements that are not usable, but with those at the end of a sensor's range.
+        usable: The same without measurements that are not usable, but with those at the end of a sensor's
+            range.
         data: The runs prepared for a fit, without these.
         ranges: Ranges of the sensors that saturate, m or rad, by channel.
-        statements: A sentence about sensors that are left out, and about each coordinate whose drive turns the other
-            way than declared.
+        statements: A sentence about sensors that are left out, and about each coordinate whose drive turns
+            the other way than declared.
     """
 
     machine: Machine
@@ -129,17 +130,18 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
         machine: Machine with the rig's coordinates, belts and sensors.
 
     Returns:
-        Data set with one prepared recording per run: its initial state, and its measurements minus the sensors' zeros
-        (measurements at position 0), in the sensors' units, shape (n, sensors). For all runs: noise and quantization
-        step of each sensor, in the sensors' units, shape (sensors,), and the zeros of the encoders that have the same
-        one in all runs.
+        Data set with one prepared recording per run: its initial state, and its measurements minus the
+        sensors' zeros (measurements at position 0), in the sensors' units, shape (n, sensors). For all runs:
+        noise and quantization step of each sensor, in the sensors' units, shape (sensors,), and the zeros of
+        the encoders that have the same one in all runs.
     """
     filled = [without_unknown_voltage(fill_gaps(recording), machine) for recording in recordings]
     channels = [[recording.outputs[:, j] for recording in filled] for j in range(len(machine.sensors))]
     quanta = np.array(
         [sensor_quantum(c, s.resolution) for c, s in zip(channels, machine.sensors, strict=True)]
     )
-    # Each run is estimated alone, which shows the encoders with the same zero in all runs, then again with these zeros.
+    # Each run is estimated alone, which shows the encoders with the same zero in all runs, then again with
+    # these zeros.
     separate = [estimate_initial_state(recording, machine) for recording in filled]
     zeros = common_encoder_zeros(separate, machine, quanta)
     initial = [
@@ -174,9 +176,10 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
 
 
 def _common_jitter(recordings: Sequence[Recording], machine: Machine, noise: Array) -> float:
-    """Return the jitter of the clock, s: the smallest estimate of all encoders or, if none measured, of all sensors.
+    """Return the jitter of the clock, s: the smallest of all encoders or, if none measured, of all sensors.
 
-    Encoders resolve the jitter best. The smallest estimate is used, because vibration at one sensor looks like jitter.
+    Encoders resolve the jitter best. The smallest estimate is used, because vibration at one sensor looks
+    like jitter.
     """
     channels = {j: [r.outputs[:, j] for r in recordings] for j in range(len(machine.sensors))}
     measured = [j for j, channel in channels.items() if any(np.isfinite(values).any() for values in channel)]

@@ -27,9 +27,9 @@ _MIN_STRETCH = 0.1e-3  # rad; zeros that scatter by less from run to run show no
 def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quanta: Array) -> EncoderZeros:
     """Find the encoders that kept their zero (measurement at position 0) in all runs of a session.
 
-    An encoder on a pulley kept its zero if the standard deviation of the zero from run to run is below the belt stretch
-    that static friction can maintain, or below two quantization steps. The zeros of an encoder that was switched on
-    anew for every run differ by far more.
+    An encoder on a pulley kept its zero if the standard deviation of the zero from run to run is below the
+    belt stretch that static friction can maintain, or below two quantization steps. The zeros of an encoder
+    that was switched on anew for every run differ by far more.
 
     Args:
         initial: Initial states of the runs, each estimated with unknown zeros.
@@ -37,15 +37,16 @@ def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quan
         quanta: Quantization steps of the sensors, in the sensors' units, shape (sensors,).
 
     Returns:
-        Median over the runs of the zero of each such encoder, in the sensors' units, shape (sensors,), NaN for all
-        other sensors, and its standard deviation from run to run. With fewer than three runs or without belts: the
-        zeros that the machine declares.
+        Median over the runs of the zero of each such encoder, in the sensors' units, shape (sensors,), NaN
+        for all other sensors, and its standard deviation from run to run. With fewer than three runs or
+        without belts: the zeros that the machine declares.
     """
     zeros = EncoderZeros.of_machine(machine)
     if not machine.belts or len(initial) < _MIN_RUNS_FOR_ZERO:
         return zeros
     zeros = zeros.without(np.ones(len(machine.sensors), np.bool_))
-    # Runs whose position is measured at rest give the better zeros; the others count only if these are too few.
+    # Runs whose position is measured at rest give the better zeros; the others count only if these are too
+    # few.
     positioned = [state.zeros for state in initial if state.position_measured]
     by_run = np.array(
         positioned if len(positioned) >= _MIN_RUNS_FOR_ZERO else [state.zeros for state in initial]
@@ -54,7 +55,8 @@ def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quan
     deviation = np.abs(by_run - median)  # (runs, sensors)
     spread = std_by_median(deviation, axis=0)  # single deviating runs do not change it
     limit = np.maximum(max_held_angle(machine), 2 * quanta)
-    # It is zero if more than half of the runs start where nothing stretches the belts. The others show the stretch.
+    # It is zero if more than half of the runs start where nothing stretches the belts. The others show the
+    # stretch.
     kept = deviation <= limit + MAX_SCATTER * spread
     of_kept = np.sqrt(np.mean(deviation**2, axis=0, where=kept))
     for j, sensor in enumerate(machine.sensors):
@@ -69,8 +71,8 @@ def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quan
 def refine_encoder_zeros(data: Dataset, machine: Machine, reference: Dataset | None = None) -> Dataset:
     """Copy a data set, with zeros (measurements at position 0) of the encoders corrected by a fitted machine.
 
-    `prepare` estimates zeros as if the belts were unstretched at rest. The effects of the fitted machine give the
-    forces that stretch the belts at rest; this stretch is the error of the zeros.
+    `prepare` estimates zeros as if the belts were unstretched at rest. The effects of the fitted machine give
+    the forces that stretch the belts at rest; this stretch is the error of the zeros.
 
     Args:
         data: Data set to correct (times, voltages, measurements, SI).
@@ -79,8 +81,8 @@ def refine_encoder_zeros(data: Dataset, machine: Machine, reference: Dataset | N
             Default: `data`.
 
     Returns:
-        Copy with corrected initial states and measurements. `data` itself if the machine has no effects that change
-        anything at rest, or if no encoder with a known zero resolves the stretch of the belts.
+        Copy with corrected initial states and measurements. `data` itself if the machine has no effects that
+        change anything at rest, or if no encoder with a known zero resolves the stretch of the belts.
     """
     runs = (data if reference is None else reference).runs
     if not may_correct_zeros(data, machine):
@@ -88,8 +90,8 @@ def refine_encoder_zeros(data: Dataset, machine: Machine, reference: Dataset | N
     states = [run.initial for run in runs]
     errors = encoder_zero_errors(machine, states)
     bare = dataclasses.replace(machine, effects=())
-    # Effects that change nothing at rest, such as those of friction, give no reason to correct zeros of all runs by the
-    # median of some (chi-squared 1.64 instead of 1.07 in a log with interpolated voltages).
+    # Effects that change nothing at rest, such as those of friction, give no reason to correct zeros of all
+    # runs by the median of some (chi-squared 1.64 instead of 1.07 in a log with interpolated voltages).
     if np.allclose(errors, encoder_zero_errors(bare, states), rtol=0.0, atol=1e-9):
         return data
     initial = [_with_corrected_zeros(run.initial, machine, errors) for run in data.runs]

@@ -1,8 +1,8 @@
 """A machine whose declared positions no run measures is one of speeds.
 
-Templates declare an encoder beside a tachometer, and a log may have the speed alone. With a position sensor that
-measured nothing, an observer would correct nothing: it corrects speeds only where no sensor measures the position. Nor
-would there be a balance of forces.
+Templates declare an encoder beside a tachometer, and a log may have the speed alone. With a position sensor
+that measured nothing, an observer would correct nothing: it corrects speeds only where no sensor measures the
+position. Nor would there be a balance of forces.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ def without_unmeasured_positions(
         machine: Machine as declared.
 
     Returns:
-        Runs and machine without these sensors, and a sentence about them; the same runs and machine, and none, if a
-        position was measured.
+        Runs and machine without these sensors, and a sentence about them; the same runs and machine, and
+        none, if a position was measured.
     """
     measured = np.any([np.isfinite(r.outputs).any(axis=0) for r in recordings], axis=0)  # (sensors,)
     speeds = np.array([s.of_velocity for s in machine.sensors], np.bool_)

@@ -1,9 +1,9 @@
-"""What of a recording can be used: the one path by which `check`, `identify` and `simulate` treat measurements.
+"""What of a recording can be used: the path by which `check`, `identify` and `simulate` treat measurements.
 
-A recording is unwrapped first, and stamps that jitter around equal steps are replaced by these. Not usable are
-repetitions of the last measurement by a sensor that is slower than the log or silent, outliers, the measurements
-before the machine comes to rest, and those at the end of a sensor's range. Inputs that were measured with much noise
-are averaged.
+A recording is unwrapped first, and stamps that jitter around equal steps are replaced by these. Not usable
+are repetitions of the last measurement by a sensor that is slower than the log or silent, outliers, the
+measurements before the machine comes to rest, and those at the end of a sensor's range. Inputs that were
+measured with much noise are averaged.
 """
 
 from __future__ import annotations
@@ -54,7 +54,8 @@ def usable_run(recording: Recording, machine: Machine, log: LineLog | None = Non
 
     Args:
         recording: Run as logged.
-        log: Called with a line of text for each channel that wraps and each kind of measurements that is removed.
+        log: Called with a line of text for each channel that wraps and each kind of measurements that is
+            removed.
     """
     regular, jitter_s = with_regular_clock(without_wraps(recording, machine), machine)
     unwrapped = without_input_noise(regular, machine, log)
@@ -87,15 +88,15 @@ def usable_run(recording: Recording, machine: Machine, log: LineLog | None = Non
 
 
 def from_first_measurement(recording: Recording, machine: Machine) -> Recording:
-    """Copy a run without the rows before its first measurement, if the drives may have moved the machine in them.
+    """Copy a run without rows before its first measurement, if drives may have moved the machine in them.
 
-    Where a run begins at rest, it does not matter when the sensors begin to measure. Otherwise no measurement tells the
-    position of the first row, but the run can be simulated from the first row with one, like one that was cut out of a
-    longer log.
+    Where a run begins at rest, it does not matter when the sensors begin to measure. Otherwise no measurement
+    tells the position of the first row, but the run can be simulated from the first row with one, like one
+    that was cut out of a longer log.
 
     Returns:
-        Copy; the same object if something is measured at rest, if nothing is measured at all, or if too few rows to fit
-        would remain.
+        Copy; the same object if something is measured at rest, if nothing is measured at all, or if too few
+        rows to fit would remain.
     """
     measured = np.flatnonzero(np.isfinite(recording.outputs).any(axis=1))
     first = int(measured[0]) if len(measured) else 0
@@ -148,8 +149,8 @@ def rest_and_noise(recording: Recording, machine: Machine) -> tuple[int, Array, 
         recording: Run without gaps.
 
     Returns:
-        Number of rows at rest; quantization steps and noise of the sensors, in the sensors' units, shape (sensors,)
-        each.
+        Number of rows at rest; quantization steps and noise of the sensors, in the sensors' units,
+        shape (sensors,) each.
     """
     rows = count_resting_rows(recording, machine)
     channels = recording.outputs.T
@@ -170,7 +171,8 @@ def without_saturated(
 ) -> tuple[list[Recording], dict[str, Range]]:
     """Remove measurements at the end of a sensor's range.
 
-    The machine's measuring ranges define where a sensor saturates; other sensors are examined (`saturation_ranges`).
+    The machine's measuring ranges define where a sensor saturates; other sensors are examined
+    (`saturation_ranges`).
 
     Args:
         recordings: Runs of one rig.

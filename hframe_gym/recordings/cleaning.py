@@ -1,7 +1,7 @@
-"""Find defects of the sampling in a recording: dropped samples, repeated measurements, and silences of a sensor.
+"""Find defects of the sampling in a recording: dropped samples, repeated measurements, and silent sensors.
 
-Defective measurements become NaN (not measured); no substitute is invented. `bridge_blanks` interpolates, but only for
-comparisons between channels.
+Defective measurements become NaN (not measured); no substitute is invented. `bridge_blanks` interpolates, but
+only for comparisons between channels.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ from .recording import Recording
 
 GAP_PERIODS = 1.5  # a longer step, in usual ones (`usual_step`), means that samples were lost
 
-# Fraction of the steps that are shorter than half of the median. Steps of a clock are alike, so that it is 0 in all
-# recordings of the benchmarks; where values are logged as they arrive, as by callbacks of several messages, it is 0.35
-# to 0.37 (two drives of a crane). A log whose stamps scatter by a third of its period has 0.07.
+# Fraction of the steps that are shorter than half of the median. Steps of a clock are alike, so that it is 0
+# in all recordings of the benchmarks; where values are logged as they arrive, as by callbacks of several
+# messages, it is 0.35 to 0.37 (two drives of a crane). A log whose stamps scatter by a third of its period
+# has 0.07.
 _EVENTS_FRACTION = 0.25
 _EVENTS_PERCENT = 95.0  # of the steps between events; longer ones are pauses of the logger
 
@@ -33,11 +34,13 @@ _SMALL_CHANGE = 1.5  # quantization steps; a change of one step
 # Fraction of the rows in motion; single repetitions have other causes, such as a late message.
 _LEAST_REPEATED = 0.05
 _NOISY = 0.5  # changes of one step per repetition; noise makes two, a sensor that is held none
-# Ratio of the 90th to the 10th percentile: intervals of a held sensor are alike at any speed, and its changes are not.
+# Ratio of the 90th to the 10th percentile: intervals of a held sensor are alike at any speed, and its changes
+# are not.
 _LARGEST_RATIO = 2.0
 _SILENCE = 5.0  # times the usual time between new values, from which on a sensor may have been silent
-# Fraction of the distance at the slower of the speeds before and after a silence, since a machine that stops covers
-# 1 / _SILENCE at most; and the reciprocal, of that at the faster one, since a step of the command covers far more.
+# Fraction of the distance at the slower of the speeds before and after a silence, since a machine that stops
+# covers 1 / _SILENCE at most; and the reciprocal, of that at the faster one, since a step of the command
+# covers far more.
 _CONTINUED = 0.5
 _CATCH_UP = 3.0  # times the largest step around a silence
 
@@ -49,9 +52,9 @@ def usual_step(time_s: Array) -> float:
         time_s: Times of the rows, s, shape (n,).
 
     Returns:
-        Time, s: the sampling period, which is the median step. A log of events has none: its rows are written when a
-        value arrives, with any step between them, and the last value holds until then. Its usual step is the 95th
-        percentile.
+        Time, s: the sampling period, which is the median step. A log of events has none: its rows are written
+        when a value arrives, with any step between them, and the last value holds until then. Its usual step
+        is the 95th percentile.
     """
     steps = np.diff(time_s)
     if not len(steps):
@@ -77,9 +80,9 @@ def missing_rows(time_s: Array) -> NDArray[np.int_]:
 def fill_gaps(recording: Recording) -> Recording:
     """Copy a recording and insert rows into each gap, a step of more than 1.5 usual ones (`missing_rows`).
 
-    Inserted rows are about a usual step apart; without them, a simulation would hold the last voltage over the gap.
-    They have linearly interpolated voltages, and NaN (not measured) for all measurements. Without gaps, the same object
-    is returned.
+    Inserted rows are about a usual step apart; without them, a simulation would hold the last voltage over
+    the gap. They have linearly interpolated voltages, and NaN (not measured) for all measurements. Without
+    gaps, the same object is returned.
     """
     time_s = recording.time_s
     lost = missing_rows(time_s)
@@ -104,8 +107,8 @@ def comparison_window(outputs: Array, time_s: Array, shortest: float) -> float:
         shortest: Smallest length of the window, s; it is returned if all sensors measure often enough.
 
     Returns:
-        Length, s: the largest of `shortest` and the typical measuring intervals of the channels. An interval of more
-        than 0.25 s is ignored; windows then need not contain a measurement of that channel.
+        Length, s: the largest of `shortest` and the typical measuring intervals of the channels. An interval
+        of more than 0.25 s is ignored; windows then need not contain a measurement of that channel.
     """
     window = shortest
     for values in outputs.T:
@@ -125,11 +128,12 @@ def bridge_blanks(outputs: Array, time_s: Array, longest_gap: float) -> Array:
     Args:
         outputs: Measurements, in the sensors' units, shape (n, sensors), NaN where not measured.
         time_s: Sample times, s, shape (n,).
-        longest_gap: Longest time between successive measurements of a sensor over which values are interpolated, s.
+        longest_gap: Longest time between successive measurements of a sensor over which values are
+            interpolated, s.
 
     Returns:
-        Copy with linearly interpolated values between measurements, shape (n, sensors); still NaN in longer gaps, and
-        before a sensor's first and after its last measurement.
+        Copy with linearly interpolated values between measurements, shape (n, sensors); still NaN in longer
+        gaps, and before a sensor's first and after its last measurement.
     """
     bridged = outputs.copy()
     rows = np.arange(len(time_s))
@@ -149,17 +153,18 @@ def bridge_blanks(outputs: Array, time_s: Array, longest_gap: float) -> Array:
 def repetitions(values: Array) -> float:
     """Estimate in how many successive rows a log repeats each measurement of a sensor.
 
-    A sensor that measures less often than a row is logged changes by several quantization steps in one row and not at
-    all in the next. A sensor that measures in every row does not do this: its motion does not stop for one row, and
-    noise that makes two measurements equal makes them differ by a single step about twice as often.
+    A sensor that measures less often than a row is logged changes by several quantization steps in one row
+    and not at all in the next. A sensor that measures in every row does not do this: its motion does not stop
+    for one row, and noise that makes two measurements equal makes them differ by a single step about twice as
+    often.
 
     Args:
         values: Measurements of one channel, m or rad, shape (n,), NaN where not measured.
 
     Returns:
-        Rows per measurement during motion, dimensionless: their median, or their mean if the median is one row. 1 for a
-        sensor that measures in every row, or with fewer than 20 pairs of successive changes of at least three
-        quantization steps.
+        Rows per measurement during motion, dimensionless: their median, or their mean if the median is one
+        row. 1 for a sensor that measures in every row, or with fewer than 20 pairs of successive changes of
+        at least three quantization steps.
     """
     measured = values[np.isfinite(values)]
     changes = np.abs(np.diff(measured))
@@ -184,10 +189,11 @@ def repetitions(values: Array) -> float:
 
 
 def _held_regularly(sizes: Array, intervals: NDArray[np.int_]) -> bool:
-    """Return whether changes of a channel without a quantum come at regular intervals, whatever their size is.
+    """Return whether changes of a channel without a quantum come at regular intervals, whatever their size.
 
-    Unequal steps of a sensor are no quantum either; in slow motion their intervals depend on the speed, and their sizes
-    are similar. Intervals of a held sensor may differ by one row, because its period is no whole number of rows.
+    Unequal steps of a sensor are no quantum either; in slow motion their intervals depend on the speed, and
+    their sizes are similar. Intervals of a held sensor may differ by one row, because its period is no whole
+    number of rows.
     """
     shortest, longest = np.percentile(intervals, [10, 90])
     smallest, largest = np.percentile(sizes, [10, 90])
@@ -198,13 +204,14 @@ def _held_regularly(sizes: Array, intervals: NDArray[np.int_]) -> bool:
 def without_repetitions(recording: Recording) -> Recording:
     """Copy a recording, with NaN (not measured) for values that repeat the last measurement of a slow sensor.
 
-    A slow sensor measures less often than a row is logged. `repetitions` detects it and estimates its number of rows
-    per measurement.
+    A slow sensor measures less often than a row is logged. `repetitions` detects it and estimates its number
+    of rows per measurement.
 
     Returns:
-        Copy with measurements, in the sensors' units, shape (n, sensors); the same object if no sensor is slow. Each
-        row in which the value of a slow sensor changes is kept. While the value is constant (machine at rest), one row
-        per measuring interval is kept, from the second interval after the last change on.
+        Copy with measurements, in the sensors' units, shape (n, sensors); the same object if no sensor is
+        slow. Each row in which the value of a slow sensor changes is kept. While the value is constant
+        (machine at rest), one row per measuring interval is kept, from the second interval after the last
+        change on.
     """
     outputs = recording.outputs.copy()
     for values in outputs.T:
@@ -222,18 +229,19 @@ def without_repetitions(recording: Recording) -> Recording:
 
 
 def without_silences(recording: Recording, machine: Machine) -> Recording:
-    """Copy a recording, with NaN (not measured) where a log repeats a value because the sensor sent no new one.
+    """Copy a recording, with NaN (not measured) where a log repeats a value as the sensor sent none.
 
-    A machine that stops and goes on leaves a rest by one small step. After a lost connection, the next value is where
-    the motion has arrived meanwhile. The repetitions between two values are removed if
+    A machine that stops and goes on leaves a rest by one small step. After a lost connection, the next value
+    is where the motion has arrived meanwhile. The repetitions between two values are removed if
 
     - their time is at least five times as long as usual between the new values before and after,
     - the motion has the same direction before, across and after it, and
-    - its step is more than three times as large as each one before and after, as no quantization step is, at least half
-      of what the slower of the speeds before and after makes of this time, and at most twice what the faster one makes.
+    - its step is more than three times as large as each one before and after, as no quantization step is, at
+      least half of what the slower of the speeds before and after makes of this time, and at most twice what
+      the faster one makes.
 
-    A current or an acceleration jumps with the command and is constant at standstill, so that its sensor is never
-    silent by this rule.
+    A current or an acceleration jumps with the command and is constant at standstill, so that its sensor is
+    never silent by this rule.
 
     Args:
         recording: Run without outliers: a connection that returns may send its late values all at once.
@@ -272,9 +280,11 @@ def peak_to_peak(outputs: Array) -> Array:
     """Compute the difference between the largest and the smallest measurement of each channel.
 
     Args:
-        outputs: Measurements, in the sensors' units, NaN where not measured, shape (n, sensors), or (n,) of one sensor.
+        outputs: Measurements, in the sensors' units, NaN where not measured, shape (n, sensors), or (n,) of
+            one sensor.
 
     Returns:
-        Differences in the same units, 0 where nothing was measured, shape (sensors,), or a scalar for one sensor.
+        Differences in the same units, 0 where nothing was measured, shape (sensors,), or a scalar for one
+        sensor.
     """
     return np.nan_to_num(np.fmax.reduce(outputs) - np.fmin.reduce(outputs))

@@ -13,7 +13,7 @@ _PARTS = ("README.md", "rig_a", "rig_b", "notebooks")  # those of the folder exa
 
 
 def examples_folder() -> Path:
-    """Return the folder with `rig_a`, in a wheel's package or the repository; an InputError if there is none."""
+    """Return the folder with `rig_a`, of a wheel's package or the repository; InputError if there is none."""
     for folder in (_PACKAGE / "examples", _PACKAGE.parent / "examples"):
         if (folder / "rig_a").is_dir():
             return folder
@@ -26,7 +26,8 @@ def copy_examples(out: str | Path) -> list[Path]:
     """Copy two example rigs with their description, and example notebooks, to a new folder; return the paths.
 
     Args:
-        out: Folder to create; it must not exist, unless it is an empty folder. It appears complete or not at all.
+        out: Folder to create; it must not exist, unless it is an empty folder. It appears complete or not at
+            all.
 
     Raises:
         InputError: If `out` is a file or a folder that is not empty, or this installation has no examples.

@@ -25,8 +25,8 @@ _LARGE_FACTOR = 4.0  # times the departure that _LARGE_PERCENT of the samples do
 _LARGE_PERCENT = 98.0
 _NEIGHBORS = 8  # samples on each side whose speeds are compared
 _IGNORED_SPEEDS = 2  # smallest and largest speeds that are ignored, because another outlier may be near
-# Times the distance that the change of speed around it explains. Measured runs with steps, shocks and Coulomb stops
-# reach 0.26.
+# Times the distance that the change of speed around it explains. Measured runs with steps, shocks and Coulomb
+# stops reach 0.26.
 _SPEED_FACTOR = 1.0
 _NOISE_FACTOR = 8.0  # times the declared noise
 _RESOLUTION_FACTOR = 4.0  # times the resolution
@@ -35,22 +35,23 @@ _EDGE_FACTOR = 5.0
 
 
 def outlier_mask(recording: Recording, machine: Machine) -> Mask:
-    """Find outliers: up to five consecutive samples of a sensor that leave the motion around them and return to it.
+    """Find outliers: up to five consecutive samples of a sensor that leave the motion and return to it.
 
-    The departure of a group of samples is its smallest distance from three straight lines: through the two samples
-    before it, through the two after it, and between its neighbors. A kink or step of a real motion (end stop, Coulomb
-    friction) lies on one of these lines, so it is kept, and so are samples of a move that begins or ends there.
-    The departure of an outlier exceeds all of these: 12 times the median and 4 times the 98th percentile of the
-    sensor's departures in this run; 8 times the noise; 4 times the resolution; and the distance that a change of speed
-    explains. The first and the last measurement are outliers if the step to their neighbor exceeds 5 times the largest
-    other step, 8 times the noise and 4 times the resolution.
+    The departure of a group of samples is its smallest distance from three straight lines: through the two
+    samples before it, through the two after it, and between its neighbors. A kink or step of a real motion
+    (end stop, Coulomb friction) lies on one of these lines, so it is kept, and so are samples of a move that
+    begins or ends there. The departure of an outlier exceeds all of these: 12 times the median and 4 times
+    the 98th percentile of the sensor's departures in this run; 8 times the noise; 4 times the resolution; and
+    the distance that a change of speed explains. The first and the last measurement are outliers if the step
+    to their neighbor exceeds 5 times the largest other step, 8 times the noise and 4 times the resolution.
 
     Args:
-        machine: Machine that was recorded; declares noise and resolution. A coarser resolution in the run replaces it.
+        machine: Machine that was recorded; declares noise and resolution. A coarser resolution in the run
+            replaces it.
 
     Returns:
-        True where a measurement is an outlier, shape (n, sensors); False at empty cells, for a sensor with fewer than
-        30 measurements, and for one that measures an acceleration or a current.
+        True where a measurement is an outlier, shape (n, sensors); False at empty cells, for a sensor with
+        fewer than 30 measurements, and for one that measures an acceleration or a current.
     """
     mask = np.zeros(recording.outputs.shape, np.bool_)
     for j, sensor in enumerate(machine.sensors):
@@ -68,9 +69,9 @@ def outlier_mask(recording: Recording, machine: Machine) -> Mask:
 def without_outliers(recording: Recording, machine: Machine) -> Recording:
     """Copy a recording, with NaN (not measured) for its outliers.
 
-    Outliers are up to five consecutive samples of a sensor that leave the motion around them and return to it, by much
-    more than noise, resolution and the changes of speed explain. Kinks and steps of a real motion are kept.
-    `outlier_mask` describes the criterion.
+    Outliers are up to five consecutive samples of a sensor that leave the motion around them and return to
+    it, by much more than noise, resolution and the changes of speed explain. Kinks and steps of a real motion
+    are kept. `outlier_mask` describes the criterion.
 
     Returns:
         Copy; the same object if there are no outliers.
@@ -82,7 +83,7 @@ def without_outliers(recording: Recording, machine: Machine) -> Recording:
 
 
 def _isolated_samples(time_s: Array, values: Array, floor: float) -> Mask:
-    """Return the mask of the outliers among the measured samples of a channel, which depart by more than `floor`.
+    """Return the mask of outliers among a channel's measured samples, which depart by more than `floor`.
 
     Short departures are removed first, so that a second one nearby does not spoil the scale of a longer one.
     """
@@ -101,7 +102,7 @@ def _isolated_samples(time_s: Array, values: Array, floor: float) -> Mask:
 
 
 def _isolated_segments(time_s: Array, values: Array, length: int, floor: float) -> NDArray[np.int_]:
-    """Return the first indices of the segments of a length that depart from the motion before and after them."""
+    """Return the first indices of the segments of a length that depart from motion before and after."""
     departures = _departures(time_s, values, length)
     typical = float(np.median(departures))
     large = float(np.percentile(departures, _LARGE_PERCENT))
@@ -122,8 +123,9 @@ def _isolated_segments(time_s: Array, values: Array, length: int, floor: float) 
 def _begins_or_ends_move(values: Array, first: int, length: int, floor: float) -> bool:
     """Return whether samples lead from one neighbor to the other where a sensor rests before or after them.
 
-    In a slow log, a move from rest to rest has a few samples. Where the sensor rests (changes below `floor`) before and
-    after them, at two places, they may also turn back in between, as a drive that overshoots or sticks does.
+    In a slow log, a move from rest to rest has a few samples. Where the sensor rests (changes below `floor`)
+    before and after them, at two places, they may also turn back in between, as a drive that overshoots or
+    sticks does.
     """
     before, after = (
         values[max(first - _NEIGHBORS, 0) : first],
@@ -155,10 +157,10 @@ def _speed_change(time_s: Array, values: Array, first: int, length: int) -> floa
 
 
 def _departures(time_s: Array, values: Array, length: int) -> Array:
-    """Return how far each segment departs from the motion around it, shape (n - length - 3,), from sample 2 on.
+    """Return how far each segment is from the motion around, shape (n - length - 3,), from sample 2 on.
 
-    It is the smallest distance of its samples from three straight lines: through the two samples before it, through the
-    two samples after it, and from the last sample before it to the first one after it.
+    It is the smallest distance of its samples from three straight lines: through the two samples before it,
+    through the two samples after it, and from the last sample before it to the first one after it.
     """
     # (length + 4, segments): two before, the segment, two after
     t = sliding_window_view(time_s, length + 4).T

@@ -1,7 +1,7 @@
-"""The physical quantities of the columns of logs: their units, the words that name them, and recognizing them.
+"""The physical quantities of logs' columns: their units, the words that name them, and recognizing them.
 
-This module is the one place that knows which units and names belong to which quantity. A unit is evidence; a name is a
-guess, which the user may correct.
+This module is the one place that knows which units and names belong to which quantity. A unit is evidence; a
+name is a guess, which the user may correct.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ class Quantity:
 
     Attributes:
         article: "a" or "an".
-        units: Factor to the SI unit as numerator and denominator, by unit, beginning with the SI unit. Dividing by 1000
-            rounds correctly, multiplying by 0.001 does not.
-        names: Words in headers that name the quantity, in lower case, in English, German and French, separated by
-            blanks.
+        units: Factor to the SI unit as numerator and denominator, by unit, beginning with the SI unit.
+            Dividing by 1000 rounds correctly, multiplying by 0.001 does not.
+        names: Words in headers that name the quantity, in lower case, in English, German and French,
+            separated by blanks.
         family: Quantities of one family differ only by the kind of motion (linear or rotary).
     """
 
@@ -41,8 +41,8 @@ class Quantity:
         return tuple(self.names.split())
 
 
-# "position", "speed" and "acceleration" have no units: a name alone does not say whether the motion is linear or
-# rotary. Units that no channel has are listed so that they are recognized; their factors are not used.
+# "position", "speed" and "acceleration" have no units: a name alone does not say whether the motion is linear
+# or rotary. Units that no channel has are listed so that they are recognized; their factors are not used.
 QUANTITIES: dict[str, Quantity] = {
     "time": Quantity(
         "a",
@@ -125,7 +125,8 @@ QUANTITIES: dict[str, Quantity] = {
     "row number": Quantity("a", {}, "index idx sample samples timestep tick ticks seq sequence row frame"),
     "state": Quantity("a", {}, "state status flag flags mode fault valid enable enabled trigger event"),
 }
-# Units of a number without a dimension: encoder counts, converter steps, bits, and marks of a column without a unit.
+# Units of a number without a dimension: encoder counts, converter steps, bits, and marks of a column without
+# a unit.
 COUNT_UNITS = (
     *("counts", "count", "cts", "inc", "incr", "increments", "increment", "pulses", "pulse"),
     *("ink", "inkr", "inkremente", "inkrement", "impulse", "imp", "impulsions"),
@@ -174,8 +175,8 @@ _CANONICAL = [unit for quantity in QUANTITIES.values() for unit in quantity.unit
 _KNOWN = {unit.lower(): unit for unit in reversed(_CANONICAL) if unit != "nm"}
 _KNOWN |= {spelling: unit for unit, spellings in _SPELLINGS.items() for spelling in spellings}
 _QUANTITY_OF_UNIT = {unit: name for name, quantity in QUANTITIES.items() for unit in quantity.units}
-# Endings without brackets that are units only if the name before them agrees ("current_A", but not "phase_A"), because
-# they are also letters that number things, or words ("x_min", "v_in").
+# Endings without brackets that are units only if the name before them agrees ("current_A", but not
+# "phase_A"), because they are also letters that number things, or words ("x_min", "v_in").
 _NEEDS_NAME = {
     "A": "i",
     "N": "f",
@@ -188,8 +189,8 @@ _NEEDS_NAME = {
     "s": "t",
     "min": "t",
 }
-# Units of time that are also the complete header of its column: "ms" in traces of servo drives, "millis" on an Arduino.
-# "us" and "min" are not: they may be a supply voltage and a minimum.
+# Units of time that are also the complete header of its column: "ms" in traces of servo drives, "millis" on
+# an Arduino. "us" and "min" are not: they may be a supply voltage and a minimum.
 TIME_HEADERS = ("ms", *_SPELLINGS["ms"], *_SPELLINGS["us"])
 # Names of a voltage or current before "_m" and "_in", which then stand for the motor and the input.
 _ELECTRICAL = re.compile(r"[uvi][a-z]?\d*")
@@ -198,7 +199,8 @@ _LONGEST_HEADER = 200  # characters; a longer text is no name with a unit, and t
 _BRACKETED = re.compile(r"(?P<name>.*?)[\s_]*[\[(<{]\s*(?P<unit>[^\])>}]*?)\s*[\])>}]\s*")
 _AFTER_BLANK = re.compile(r"(?P<name>.*\S)(?:\s+in\s+|[\s_]+)(?P<unit>\S+/\S+)")  # "n in 1/min", "v m/s"
 _SUFFIX = re.compile(r"(?P<name>.*[^\s_./])(?:[\s_./]+|\s+in\s+)(?P<unit>[^\s_./]+)")
-# Units of speeds and accelerations in names that have no room for a slash: "vel_rad_s", "acc_m_per_s2", "feed_mm_min".
+# Units of speeds and accelerations in names that have no room for a slash: "vel_rad_s", "acc_m_per_s2",
+# "feed_mm_min".
 _QUOTIENT = re.compile(
     r"(?P<name>.*[^\s_./])[\s_.]+(?P<unit>rad|deg|rev|turns?|mm|cm|m)(?:_per_|/|_)(?P<time>s|sec|min)"
     r"(?P<square>\^?2|²)?",
@@ -221,7 +223,8 @@ class Meaning(NamedTuple):
     """What a column of a log contains.
 
     Attributes:
-        quantity: Key of `QUANTITIES`, or "count" for a number without a dimension; "" if the header says nothing.
+        quantity: Key of `QUANTITIES`, or "count" for a number without a dimension; "" if the header says
+            nothing.
         unit: Unit as `normalize_unit` spells it; "" if the header has none.
         evidence: Whether the quantity follows from the unit, or is guessed from the name alone.
         role: Whether the name says that the value is a set point or a control error.
@@ -253,8 +256,8 @@ class Meaning(NamedTuple):
 def normalize_unit(text: str) -> str:
     """Return the usual spelling of a unit: "mm" for "[Millimeters]", "m/s^2" for "m/s²".
 
-    The unit is that of a quantity in `QUANTITIES`, or of a duty cycle, "%" or "pu" (per unit, 1 is the rated voltage).
-    A text that is none of them is returned without brackets.
+    The unit is that of a quantity in `QUANTITIES`, or of a duty cycle, "%" or "pu" (per unit, 1 is the rated
+    voltage). A text that is none of them is returned without brackets.
     """
     plain = text.strip().strip("[](){}<>").strip()
     if plain in _QUANTITY_OF_UNIT:
@@ -269,20 +272,21 @@ def normalize_unit(text: str) -> str:
 
 
 def is_unit(text: str) -> bool:
-    """Return whether the cell of a row below a header is a unit, or a mark such as "[#]" and "-" for no dimension."""
+    """Return whether a cell of a row below a header is a unit, or a mark such as "[#]" or "-" for none."""
     unit = normalize_unit(text)
     return unit in _QUANTITY_OF_UNIT or unit.lower() in _WITHOUT_DIMENSION
 
 
 def split_unit(header: str) -> tuple[str, str]:
-    """Split the header of a column into name and unit: "Pos X [mm]", "x_mm", "x (mm)", "x in mm", "vel_rad_s".
+    """Split a column's header into name and unit: "Pos X [mm]", "x_mm", "x (mm)", "x in mm", "vel_rad_s".
 
     Returns:
         name: Name without the unit.
-        unit: Unit in its usual spelling, such as "mm" or "rpm"; "" if the header has none. Any text in brackets is a
-            unit. Without brackets, only known units are recognized, and those of one letter, such as "A", only if the
-            name agrees: "current_A" and "i1_A" have a unit, "phase_A" has none. The word rpm is a unit wherever it is,
-            and "ms", "millis" or "micros" alone are a time.
+        unit: Unit in its usual spelling, such as "mm" or "rpm"; "" if the header has none. Any text in
+        brackets is a
+            unit. Without brackets, only known units are recognized, and those of one letter, such as "A",
+            only if the name agrees: "current_A" and "i1_A" have a unit, "phase_A" has none. The word rpm is a
+            unit wherever it is, and "ms", "millis" or "micros" alone are a time.
     """
     plain = header.strip()
     if len(plain) > _LONGEST_HEADER:
@@ -327,8 +331,8 @@ def _is_ending(name: str, ending: str) -> bool:
 def meaning_of(name: str, unit: str) -> Meaning:
     """Determine what a column contains from its name and its unit.
 
-    A unit decides, except where several quantities share it: percent is a duty cycle unless the name says of what
-    ("torque [%]"), and "nm" is a length unless the name is that of a torque.
+    A unit decides, except where several quantities share it: percent is a duty cycle unless the name says of
+    what ("torque [%]"), and "nm" is a length unless the name is that of a torque.
 
     Args:
         name: Name of the column without its unit.
@@ -354,15 +358,15 @@ def _tokens(name: str) -> list[str]:
 
 
 def _is_word(token: str, word: str) -> bool:
-    """Return whether a token is a word, or a compound that begins or ends with it ("Motorstrom", "Istposition")."""
+    """Return whether a token is a word, or a compound with it at an end ("Motorstrom", "Istposition")."""
     return token == word or (len(word) >= _LONG and (token.startswith(word) or token.endswith(word)))
 
 
 def _named_quantity(name: str) -> str:
     """Return the quantity that the last matching word of a name stands for; "" if there is none.
 
-    The last word decides: a "torque current" is a current. Therefore "current", which also means "present", is
-    overruled by a word after it ("current position").
+    The last word decides: a "torque current" is a current. Therefore "current", which also means "present",
+    is overruled by a word after it ("current position").
     """
     found = ""
     for token in _tokens(name):

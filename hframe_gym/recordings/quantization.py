@@ -1,4 +1,4 @@
-"""Find the quantization step (quantum) of a channel: encoders, counters and converters measure multiples of it."""
+"""Find the quantization step (quantum) of a channel: encoders, counters, converters measure multiples."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _MOST = 0.95  # fraction of the values that must be near a multiple
 def quantum_of(values: Array) -> float:
     """Estimate the quantization step (quantum) of one channel from one run.
 
-    The quantum is the small change of which nearly all changes from row to row, and the distances of nearly all values
-    from each other, are integer multiples. At a steady speed, all changes are nearly equal without any quantum; the
-    distances then add up the small differences.
+    The quantum is the small change of which nearly all changes from row to row, and the distances of nearly
+    all values from each other, are integer multiples. At a steady speed, all changes are nearly equal without
+    any quantum; the distances then add up the small differences.
 
     Args:
         values: Measurements, m or rad, shape (n,), NaN where not measured.
@@ -41,17 +41,18 @@ def quantum_of(values: Array) -> float:
 def exact_quantum(values: Array, declared: float = 0.0) -> float:
     """Determine a quantization step so exactly that thousands of steps can be counted.
 
-    The smallest change of values in a file has the relative error of their rounding, which is too large to tell 4096
-    steps from 4000 in a file with few digits. The step is therefore fitted to larger and larger differences.
+    The smallest change of values in a file has the relative error of their rounding, which is too large to
+    tell 4096 steps from 4000 in a file with few digits. The step is therefore fitted to larger and larger
+    differences.
 
     Args:
         values: Values of one channel, NaN where not measured, shape (n,).
         declared: Declared resolution, in the unit of the values; 0 if there is none.
 
     Returns:
-        Step of which the differences of nearly all values are integer multiples, in their unit; 0 if there is none. The
-        declared resolution is tried first, then the smallest differences of the values. In fast motion, no two
-        successive values differ by one step, but values from other rows do.
+        Step of which the differences of nearly all values are integer multiples, in their unit; 0 if there is
+        none. The declared resolution is tried first, then the smallest differences of the values. In fast
+        motion, no two successive values differ by one step, but values from other rows do.
     """
     levels = np.unique(values[np.isfinite(values)])
     if len(levels) < _MIN_STEPS:
@@ -67,7 +68,7 @@ def exact_quantum(values: Array, declared: float = 0.0) -> float:
 
 
 def _fitted_quantum(distances: Array, quantum: float) -> float:
-    """Return the quantum that fits ascending distances from the lowest level; 0 if they are no multiples of it."""
+    """Return the quantum of ascending distances from the lowest level; 0 if they are no multiples of it."""
     span = _REFINEMENT * quantum
     while True:
         near = distances[distances <= span]

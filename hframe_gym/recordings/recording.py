@@ -1,7 +1,8 @@
 """Read, validate and write recordings: files that hold one run of a machine each.
 
-The file is a table whose first column is `time_s`, followed by the machine's channels by name in any order. The cell of
-an output that was not measured is empty. Errors name file, row (1 is the first row below the header) and column.
+The file is a table whose first column is `time_s`, followed by the machine's channels by name in any order.
+The cell of an output that was not measured is empty. Errors name file, row (1 is the first row below the
+header) and column.
 """
 
 from __future__ import annotations
@@ -51,8 +52,8 @@ class Recording:
         name: Name of the run: the file name without its ending.
         time_s: Sample times, s, strictly increasing, shape (n,).
         inputs: Drive voltages, V, in the order of the machine's drives, shape (n, drives).
-        outputs: Measurements in the channels' units, in the order of the machine's sensors, shape (n, sensors); NaN
-            where a value was not measured.
+        outputs: Measurements in the channels' units, in the order of the machine's sensors,
+            shape (n, sensors); NaN where a value was not measured.
     """
 
     name: str
@@ -72,12 +73,13 @@ def load_recordings(
     """Load and check all recordings of a folder, one run of a machine per file.
 
     Args:
-        folder: Folder of the runs; files with other endings than .csv, .csv.gz and .parquet, and hidden files, are
-            ignored.
-        machine: Machine that was recorded, or its name or file (`load_machine`); its channels name the columns.
+        folder: Folder of the runs; files with other endings than .csv, .csv.gz and .parquet, and hidden
+            files, are ignored.
+        machine: Machine that was recorded, or its name or file (`load_machine`); its channels name the
+            columns.
         progress: Called with the number of bytes read so far and the total number.
-        max_rows: Largest number of rows of all runs together, divided evenly among the runs: of each run, the first
-            max_rows / number of runs rows are used, but at least 20,000. Default: all rows are used.
+        max_rows: Largest number of rows of all runs together, divided evenly among the runs: of each run, the
+            first max_rows / number of runs rows are used, but at least 20,000. Default: all rows are used.
         log: Called with a line of text for each run of which only the beginning is used.
 
     Returns:
@@ -127,15 +129,16 @@ def load_recording(
 
     Args:
         machine: Machine that was recorded, or its name or file (`load_machine`).
-        outputs_needed: Whether the file must have output columns. False also accepts voltages alone; the outputs are
-            then NaN.
+        outputs_needed: Whether the file must have output columns. False also accepts voltages alone; the
+            outputs are then NaN.
         progress: Called with the number of bytes read since the last call.
         max_rows: Number of rows after which reading stops. Default: all rows are read.
 
     Raises:
-        InputError: If the file cannot be read or has no rows, columns are missing or unknown, a time or input is empty
-            or infinite, all outputs are empty, times do not increase, a gap exceeds 600 s or the run a day, or a
-            channel is in a wrong unit. The message names the file, and row and column where there is one.
+        InputError: If the file cannot be read or has no rows, columns are missing or unknown, a time or input
+            is empty or infinite, all outputs are empty, times do not increase, a gap exceeds 600 s or the run
+            a day, or a channel is in a wrong unit. The message names the file, and row and column where there
+            is one.
     """
     machine, path = load_machine(machine), Path(path)
     try:
@@ -150,17 +153,17 @@ def recording_from_columns(path: Path, columns: Mapping[str, Array], machine: Ma
     """Check the columns of a run and arrange them in the order of a machine's channels.
 
     Args:
-        columns: Values by column, shape (n,) each: `time_s` (s), all inputs and any of the outputs, in the units that
-            their names state.
+        columns: Values by column, shape (n,) each: `time_s` (s), all inputs and any of the outputs, in the
+            units that their names state.
 
     Returns:
-        The run: times, shape (n,), inputs, shape (n, drives), and outputs, shape (n, sensors). Outputs without a column
-        are NaN.
+        The run: times, shape (n,), inputs, shape (n, drives), and outputs, shape (n, sensors). Outputs
+        without a column are NaN.
 
     Raises:
-        InputError: If there are no rows, a time or input is empty or infinite, all outputs are empty, times do not
-            increase, a gap exceeds 600 s or the run a day, or a channel is in a wrong unit. The message names the file,
-            and row and column where there is one.
+        InputError: If there are no rows, a time or input is empty or infinite, all outputs are empty, times
+            do not increase, a gap exceeds 600 s or the run a day, or a channel is in a wrong unit. The
+            message names the file, and row and column where there is one.
     """
     time_s = columns["time_s"]
     if len(time_s) == 0:
@@ -193,7 +196,7 @@ def recording_from_columns(path: Path, columns: Mapping[str, Array], machine: Ma
 
 
 def _voltages(path: Path, columns: Mapping[str, Array], drive: Drive) -> Array:
-    """Return the commands of a drive, in the unit of simulations; a duty cycle times the supply voltage is one."""
+    """Return a drive's commands, in the unit of simulations; a duty cycle times the supply voltage is one."""
     values = columns[drive.channel]
     if not DRIVE_KINDS.get(drive.kind).fraction:
         return values
@@ -206,7 +209,7 @@ def _voltages(path: Path, columns: Mapping[str, Array], drive: Drive) -> Array:
 
 
 def recorded_commands(machine: Machine, inputs: Array) -> Array:
-    """Convert `inputs`, V (A, Nm), shape (n, drives), to commands; duty cycles are those of the rated voltage."""
+    """Convert `inputs`, V (A, Nm), shape (n, drives), to commands; duty cycles are of the rated voltage."""
     fractions = [DRIVE_KINDS.get(drive.kind).fraction for drive in machine.drives]
     if not any(fractions):
         return inputs
@@ -235,7 +238,7 @@ def _refuse_gaps(path: Path, time_s: Array) -> None:
 
 
 def write_trajectory(path: str | Path, trajectory: Trajectory, inputs: Array, machine: Machine) -> None:
-    """Write a simulated run, with its `inputs`, V, shape (n, drives), with nine digits, as `load_recording` reads it.
+    """Write a simulated run, with its `inputs`, V, shape (n, drives), nine digits each, for `load_recording`.
 
     If writing fails, an existing file is unchanged.
 
@@ -302,7 +305,7 @@ def run_name(path: Path) -> str:
 
 
 def _machine_question(path: Path) -> str:
-    """Return the question whether the right machine was named, with the machine file beside a run or its folder."""
+    """Return the question if the right machine was named, with the machine file beside a run or folder."""
     files = [file for folder in path.parents[:2] if (file := folder / "machine.json").is_file()]
     beside = f"; {files[0]} lies beside them" if files else ""
     return f"Is this the machine of the recordings (--machine{beside})?"

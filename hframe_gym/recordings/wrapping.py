@@ -1,8 +1,9 @@
-"""Recognize angles and counters that wrap (start anew after a turn or at the end of a register), and unwrap them.
+"""Recognize angles and counters that wrap (after a turn or at the end of a register), and unwrap them.
 
-An absolute encoder measures an angle within one turn, and a counter of n bits counts modulo 2^n. When the motion passes
-the end, the measurement jumps by the modulus against the direction of the motion, and the motion continues at the other
-end. All measurements then lie within one modulus. Both together distinguish a wrap from an outlier and from a step.
+An absolute encoder measures an angle within one turn, and a counter of n bits counts modulo 2^n. When the
+motion passes the end, the measurement jumps by the modulus against the direction of the motion, and the
+motion continues at the other end. All measurements then lie within one modulus. Both together distinguish a
+wrap from an outlier and from a step.
 """
 
 from __future__ import annotations
@@ -23,12 +24,13 @@ from .recording import Recording
 
 _MIN_VALUES = 10  # different successive values; fewer do not show a motion around a jump
 _JUMP = 0.5  # fraction of the range of the values; a larger change may be a wrap
-# Fraction of the modulus that regular changes may reach. At half of it, the direction of the motion is ambiguous.
+# Fraction of the modulus that regular changes may reach. At half of it, the direction of the motion is
+# ambiguous.
 _FASTEST = 0.3
 _FAST_PERCENT = 98.0  # of the regular changes; a larger one may extend over a gap
 _NEIGHBORS = 4  # regular changes on each side of a jump, from which the motion during the jump follows
-# Relative deviation of a jump from a modulus. Moduli in use (4000 and 4096 counts) differ by 2.3 %; a constant
-# acceleration changes the motion during a jump by far less.
+# Relative deviation of a jump from a modulus. Moduli in use (4000 and 4096 counts) differ by 2.3 %; a
+# constant acceleration changes the motion during a jump by far less.
 _TOLERANCE = 0.01
 # Fraction of the jumps that must have the size of the modulus and the opposite sign of the motion.
 _AGREEING = 0.9
@@ -66,8 +68,8 @@ def known_moduli(quantum: float, *, angle: bool) -> dict[float, str]:
         angle: Whether the values may be an angle (in radians, degrees or turns).
 
     Returns:
-        Name of each modulus by its size: turns for an angle, powers of two and usual numbers of counts per turn for
-        quantized values.
+        Name of each modulus by its size: turns for an angle, powers of two and usual numbers of counts per
+        turn for quantized values.
     """
     moduli = dict(_TURNS) if angle else {}
     if quantum > 0.0:
@@ -87,8 +89,9 @@ def find_wrap(values: Array, moduli: Mapping[float, str]) -> Wrap | None:
         moduli: Name of each possible modulus by its size, in the unit of the values, see `known_moduli`.
 
     Returns:
-        Modulus, its name and the number of jumps. None if nothing jumps, if the jumps have no known size, if the values
-        extend over more than one modulus, or if the motion is so fast that its direction at a jump is ambiguous.
+        Modulus, its name and the number of jumps. None if nothing jumps, if the jumps have no known size, if
+        the values extend over more than one modulus, or if the motion is so fast that its direction at a jump
+        is ambiguous.
     """
     measured = values[np.isfinite(values)]
     changes = np.diff(measured)
@@ -112,7 +115,7 @@ def find_wrap(values: Array, moduli: Mapping[float, str]) -> Wrap | None:
 
 
 def _motion_around(changes: Array, jump: int, extent: float) -> float:
-    """Return the median of the regular changes around a jump; 0 if they are few or do not have one direction."""
+    """Return the median of the regular changes around a jump; 0 if few or of mixed direction."""
     near = changes[max(jump - _NEIGHBORS, 0) : jump + _NEIGHBORS + 1]
     regular = near[np.abs(near) <= _JUMP * extent]
     moves = len(regular) >= _NEIGHBORS and abs(int(np.sign(regular).sum())) == len(regular)
@@ -120,10 +123,10 @@ def _motion_around(changes: Array, jump: int, extent: float) -> float:
 
 
 def unwrapped(values: Array, modulus: float, time_s: Array) -> Array:
-    """Unwrap values: add multiples of the modulus, so that no change between successive measurements exceeds half.
+    """Unwrap values: add multiples of the modulus, so that no change between measurements exceeds half.
 
-    In a gap of the times, a fast motion passes the end several times. There, the change is the one that is closest to
-    the motion at the mean of the speeds before and after the gap.
+    In a gap of the times, a fast motion passes the end several times. There, the change is the one that is
+    closest to the motion at the mean of the speeds before and after the gap.
 
     Args:
         values: Values of one channel, NaN where not measured, shape (n,).
@@ -147,7 +150,7 @@ def unwrapped(values: Array, modulus: float, time_s: Array) -> Array:
 
 
 def _speed_around(changes: Array, steps: Array, gaps: NDArray[np.int_]) -> Array:
-    """Return the mean of the speeds before and after each gap, shape (gaps,), 0 where nothing else was measured."""
+    """Return the mean speed before and after each gap, shape (gaps,), 0 where nothing else was measured."""
     regular = np.ones(len(steps), np.bool_)
     regular[gaps] = False
     sums = [np.concatenate([[0.0], np.cumsum(np.where(regular, x, 0.0))]) for x in (changes, steps)]
@@ -181,8 +184,8 @@ def wraps_of(recording: Recording, machine: Machine) -> dict[str, Wrap]:
 def without_wraps(recording: Recording, machine: Machine) -> Recording:
     """Copy a recording with continuous angles and counters, or return it if no output wraps.
 
-    A measurement wraps at the turn that its sensor declares; without one, at jumps of a known modulus (`find_wrap`), if
-    it is a position. Other jumps stay.
+    A measurement wraps at the turn that its sensor declares; without one, at jumps of a known modulus
+    (`find_wrap`), if it is a position. Other jumps stay.
     """
     wraps = wraps_of(recording, machine)
     if not wraps:

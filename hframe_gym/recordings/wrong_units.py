@@ -1,4 +1,4 @@
-"""Values that are probably in another unit than that of their channel, such as millimeters in place of meters."""
+"""Values that are probably in another unit than their channel's, such as millimeters in place of meters."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ UNIT_WORDS = {
     "ms": "milliseconds",
     "%": "percent",
 }
-# The largest plausible measurement of a channel by the ending of its name (20 m, 2000 turns), and the unit of the value
-# if it is larger.
+# The largest plausible measurement of a channel by the ending of its name (20 m, 2000 turns), and the unit of
+# the value if it is larger.
 _LARGEST = {"_m": (20.0, "mm"), "_rad": (2000 * 2 * np.pi, "deg")}
 # A channel that spans more than this multiple of its coordinate's range is in another unit.
 _MAX_SPAN = 3.0
-# Ratios of measured to plausible travel that suggest degrees (57.3) and millimeters (1000); the limits leave room for
-# noise and for a wrong radius.
+# Ratios of measured to plausible travel that suggest degrees (57.3) and millimeters (1000); the limits leave
+# room for noise and for a wrong radius.
 _DEGREES = (25.0, 120.0)
 _MILLIMETERS = (300.0, 2000.0)
 _OUTLIERS = 0.01  # of the samples of a channel; single wrong samples are no evidence of a wrong unit
@@ -57,7 +57,7 @@ class WrongUnitError(InputError):
 
 
 def refuse_wrong_units(path: Path, outputs: Array, machine: Machine) -> None:
-    """Refuse channels in millimeters or degrees, by their size, their span and the ratios that the belts impose.
+    """Refuse channels in millimeters or degrees, by their size, their span and ratios that belts impose.
 
     Args:
         path: File of the run, for the message.

@@ -1,8 +1,8 @@
-"""Build self-contained web pages: one style sheet for light and dark displays, and plots as graphics inside the page.
+"""Build self-contained web pages: one style sheet for light and dark displays, and plots inside the page.
 
-A plot is a `Panel`, a small set of axes with a title and a description. The same panel becomes a scalable graphic of a
-page, which takes its colors from the style sheet, and part of a picture file for slides and papers. Plots need
-matplotlib, pages Jinja: the extra `report`.
+A plot is a `Panel`, a small set of axes with a title and a description. The same panel becomes a scalable
+graphic of a page, which takes its colors from the style sheet, and part of a picture file for slides and
+papers. Plots need matplotlib, pages Jinja: the extra `report`.
 """
 
 from .colors import COLORS, SERIES, color

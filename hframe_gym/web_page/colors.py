@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-# Colors by role, for light and for dark displays. Every color has a contrast of at least 4.5 (text) or 3 (lines) to
-# the background of its display. Before and after are orange and blue, which color-blind readers can distinguish.
+# Colors by role, for light and for dark displays. Every color has a contrast of at least 4.5 (text) or 3
+# (lines) to the background of its display. Before and after are orange and blue, which color-blind readers
+# can distinguish.
 COLORS: Mapping[str, tuple[str, str]] = {
     "background": ("#ffffff", "#12161c"),
     "surface": ("#f5f7f9", "#1b212a"),
@@ -30,8 +31,8 @@ SERIES = ("after", "before", "series3", "series4", "series5", "series6")  # orde
 def color(role: str) -> str:
     """Return the color of a plot element, such as "ink" or "before", as it is on a light background.
 
-    Plots are drawn with these colors. In a web page, `panel_svg` replaces them by variables of the style sheet, which
-    give other colors on a dark display.
+    Plots are drawn with these colors. In a web page, `panel_svg` replaces them by variables of the style
+    sheet, which give other colors on a dark display.
 
     Args:
         role: Element: "background", "surface", "line", "ink", "muted", "link", "good", "neutral", "warning",

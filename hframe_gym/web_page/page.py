@@ -14,7 +14,7 @@ from .panels import NEED, Panel, panel_svg
 
 
 class NextStep(NamedTuple):
-    """What the reader of a page should do next: a sentence, and the command that does it, "" if there is none."""
+    """What the reader of a page should do next: a sentence, and the command that does it, or ""."""
 
     text: str
     command: str = ""
@@ -26,8 +26,10 @@ def write_page(path: Path, package: str, template: str, values: Mapping[str, Any
     Args:
         path: File to write. If writing fails, an existing file is unchanged.
         package: Python package with a folder templates/, for example "hframe_gym.evaluation".
-        template: File name in this folder. The template extends `page.html.j2` of hframe_gym/web_page/templates.
-        values: Variables of the template. A plot (`Panel`) is drawn by the macro `figure` of `macros.html.j2`.
+        template: File name in this folder. The template extends `page.html.j2` of
+            hframe_gym/web_page/templates.
+        values: Variables of the template. A plot (`Panel`) is drawn by the macro `figure` of
+            `macros.html.j2`.
 
     Raises:
         ImportError: If Jinja or matplotlib is missing; the message says how to install them.
@@ -57,7 +59,7 @@ def _templates(package: str) -> Any:
 
 
 def number(value: float | None, absent: str = "") -> str:
-    """Format the `value`, in any unit, with three significant digits, as "18.3" or "12413"; None as `absent`."""
+    """Format a `value`, in any unit, to three significant digits, as "18.3" or "12413"; `absent` for None."""
     if value is None:
         return absent
     return f"{value:.0f}" if 999.5 <= abs(value) < 1e6 else f"{value:.3g}"

@@ -1,4 +1,4 @@
-"""Plots as small sets of axes with a title and a description: graphics of a page, and parts of picture files."""
+"""Plots as small sets of axes with title and description: graphics of a page, and parts of picture files."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from .colors import COLORS, SERIES, color
 NEED = "reports need more packages"
 PANEL_WIDTH = 3.6  # in; 346 px, so that text keeps its size on a phone
 TITLE_CHARACTERS = 44  # of a line of a title in a picture file, as many as a panel is wide
-# Of a line beside the vertical axis, per inch of the panel's height: as many as fit with 9 points in the page's font.
-# A longer label would be cut off at the panel's edges.
+# Of a line beside the vertical axis, per inch of the panel's height: as many as fit with 9 points in the
+# page's font. A longer label would be cut off at the panel's edges.
 LABEL_CHARACTERS = 12
 MAX_COLUMNS = 3  # panels beside each other in a picture file
 MAX_TICKS = (
@@ -71,14 +71,14 @@ def plot_style() -> Any:  # matplotlib's type lists the names of all settings
 
 
 def panel_svg(panel: Panel, prefix: str) -> str:
-    """Draw a plot as an SVG element to be inserted into a web page, with its description as the alternative text.
+    """Draw a plot as an SVG element for a web page, with its description as the alternative text.
 
-    Each color becomes a variable of the page's style sheet, for example `var(--ink)`, so that the plot follows the
-    light or dark display of the reader.
+    Each color becomes a variable of the page's style sheet, for example `var(--ink)`, so that the plot
+    follows the light or dark display of the reader.
 
     Args:
-        prefix: Prefix of the identifiers in the element, a different one for each plot of a page: letters, digits,
-            hyphens.
+        prefix: Prefix of the identifiers in the element, a different one for each plot of a page: letters,
+            digits, hyphens.
 
     Raises:
         ImportError: If matplotlib or Jinja is missing; the message says how to install them.
@@ -114,8 +114,8 @@ def save_panels(panels: Sequence[Panel], path: Path) -> None:
     """Draw plots into one picture file, up to three in a row, with the colors of a light display.
 
     Args:
-        path: File to write; the suffix gives the format (.png, .svg, .pdf). If writing fails, an existing file is
-            unchanged.
+        path: File to write; the suffix gives the format (.png, .svg, .pdf). If writing fails, an existing
+            file is unchanged.
 
     Raises:
         ImportError: If matplotlib is missing; the message says how to install it.

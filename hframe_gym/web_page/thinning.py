@@ -13,8 +13,8 @@ from ..arrays import Array
 def extreme_rows(curves: Sequence[Array], intervals: int) -> NDArray[np.intp]:
     """Choose the rows with the smallest and the largest value of each curve in each of many equal intervals.
 
-    Peaks stay visible, however short they are. Where a curve has no finite value in an interval, its first row is
-    kept, which shows the gap.
+    Peaks stay visible, however short they are. Where a curve has no finite value in an interval, its first
+    row is kept, which shows the gap.
 
     Args:
         curves: Curves with the same rows, in any units, shape (n,) each; NaN where nothing was measured.

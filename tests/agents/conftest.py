@@ -12,7 +12,7 @@ from hframe_gym.agents import train
 
 @pytest.fixture(scope="session")
 def trained_one_step(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder of a PPO agent after its first rollout on the built-in machine; tests change copies of it."""
+    """Return the folder of a PPO agent after a rollout on the built-in machine; tests change copies of it."""
     folder = tmp_path_factory.mktemp("agents") / "untrained"
     train("ppo", steps=1, out=folder, log=lambda line: None)
     return folder

@@ -1,4 +1,4 @@
-"""Agents on disk: loading, refusing damaged files, acting, and comparison with the machine of an evaluation."""
+"""Agents on disk: loading, refusing damaged files, acting, and comparing machines with an evaluation's."""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""Ranking of the rows of a learning curve, what the terminal shows of them, and the card of an agent as a page."""
+"""Ranking of the rows of a learning curve, what the terminal shows of them, and an agent's card as a page."""
 
 import json
 
@@ -30,7 +30,7 @@ def reaching_row(settled_1mm, settled_02mm, final_error_mm, time_s=0.3):
 
 
 def reaching_episodes(settled, final_error_mm, time_s=0.3):
-    """Return episodes of which the first `settled` jump to their final error at `time_s`; the others stay 30 mm off."""
+    """Return episodes, `settled` of which jump to a final error at `time_s`; the others stay 30 mm off."""
     time = np.linspace(0.0, LENGTH_S, 151)
     error = np.full((EPISODES, len(time), 1), 0.03)
     error[:settled, time >= time_s] = 1e-3 * final_error_mm

@@ -1,4 +1,4 @@
-"""The extra `agents`: importing the package needs none of it, and a missing package is named with its extra."""
+"""The extra `agents`: importing the package needs none of it, and a missing package names its extra."""
 
 import subprocess
 import sys

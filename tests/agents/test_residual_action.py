@@ -79,7 +79,7 @@ def test_history_covers_one_period_and_is_cleared_by_a_reset():
 
 
 def test_the_base_controller_builds_on_the_action_that_was_applied():
-    """While friction holds the stage, the integral action of the base continues from the corrected voltage."""
+    """While friction holds the stage, the integral action of the base goes on at the corrected voltage."""
     observation = rest_observation(MACHINE, (0.1, 0.0), (0.10005, 0.0))
     alone = CONTROLLERS.get("pid")(MACHINE, 0.01)
     mapping = ResidualAction(MACHINE, 0.01, base="pid", least=1.0)

@@ -140,7 +140,7 @@ def test_a_model_of_other_observations_is_refused_by_what_is_missing(
 
 
 def trained(path: Path, algorithm: str, options: dict[str, Any], scaling: dict[str, Any] | None) -> str:
-    """Train a model for 64 steps, with `VecNormalize` if it has keywords; save both; return the model's path."""
+    """Train a model for 64 steps, with `VecNormalize` if it has keywords; save both; return its path."""
     envs: Any = HFrameVecEnv(2, **options)
     if scaling is not None:
         envs = stable_baselines3.common.vec_env.VecNormalize(envs, **scaling)

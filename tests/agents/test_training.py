@@ -44,7 +44,7 @@ def whole_motions(monkeypatch, short_evaluations):
 
 
 def small(algorithm, **keywords):
-    """Return a recipe for reach with few environments, few samples in memory and other keywords of its algorithm."""
+    """Return a recipe for reach with few environments, few samples, and other keywords of its algorithm."""
     recipe = load_recipe(algorithm, "reach")
     few = {"n_steps": 16, "batch_size": 64} if "n_steps" in recipe.algorithm else {}
     few |= {"buffer_size": 4_000} if "buffer_size" in recipe.algorithm else {}

@@ -40,7 +40,7 @@ setTimeout(() => {
 
 
 def foreign_logs(count: int = 4, rows: int = 1500) -> dict[str, bytes]:
-    """Return logs of an axis with Stribeck friction as spreadsheets write them: semicolons, decimal commas, mm, ms."""
+    """Return logs of an axis with Stribeck friction of spreadsheets: semicolons, decimal commas, mm, ms."""
     truth = BUILTIN_MACHINES["axis"]().with_effects(EFFECTS["stribeck_friction"].at("x", dF=1.5, vs=0.02))
     rng, logs = np.random.default_rng(7), {}
     for k in range(1, count + 1):
@@ -246,7 +246,7 @@ class Visitor:
 
 @contextmanager
 def visitor_of(folder: Path) -> Iterator[Visitor]:
-    """Open the window of a session in Chromium; without Chromium, skip the test before the window is started."""
+    """Open the window of a session in Chromium; without it, skip the test before the window is started."""
     require_chromium()
     with served(folder) as address, chromium() as driver:
         yield Visitor(driver, address)

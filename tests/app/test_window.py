@@ -28,7 +28,8 @@ const width = document.documentElement.scrollWidth;
 const wide = width > innerWidth ? ['the page is ' + width + ' wide'] : [];
 const main = [...document.querySelectorAll('main[data-stage]')].find((e) => e.offsetParent);
 const named = (e) => e.innerText || e.ariaLabel || e.title || e.closest('label') || e.closest('.q-uploader');
-const buttons = [...main.querySelectorAll('button, input:not([type=file])')].filter((e) => e.offsetParent && !named(e));
+const buttons = [...main.querySelectorAll('button, input:not([type=file])')]
+    .filter((e) => e.offsetParent && !named(e));
 return [...wide, ...buttons.map((e) => 'no name: ' + e.outerHTML.slice(0, 200))];
 """
 

@@ -1,1 +1,1 @@
-"""Bad inputs of every kind: a catalogue with the message of each, and mutations of valid files for fuzzing."""
+"""Bad inputs of every kind: a catalogue with the message of each, and mutants of valid files for fuzzing."""

@@ -1,15 +1,19 @@
 """The catalogue of bad inputs: read catalogue.toml and write the files of a case.
 
-A case has a command line, the files that it reads and the message that it must end with. A file is a text, or a table:
+A case has a command line, the files that it reads and the message that it must end with. A file is a text, or
+a table:
 
-- `like`: valid material of this kind (`materials.WRITERS`); without it, the file that an entry above has written,
-- `rows`: number of rows of a CSV file with the columns of the run, `period`: its sampling period, s, `columns`: values
-  in the first and in the second half of the rows by column (default: zero),
+- `like`: valid material of this kind (`materials.WRITERS`); without it, the file that an entry above has
+  written,
+- `rows`: number of rows of a CSV file with the columns of the run, `period`: its sampling period, s,
+  `columns`: values in the first and in the second half of the rows by column (default: zero),
 - `replace`: texts and what takes their places, in pairs,
 - `set`: new values of fields of a JSON file by dotted path, `remove`: paths of fields that are deleted,
-- `cut`: number of bytes that are kept, `append`: text behind the content, `head`: text in front of everything,
+- `cut`: number of bytes that are kept, `append`: text behind the content, `head`: text in front of
+  everything,
 - `delete`: the file is removed,
-- `hex`: content as hexadecimal digits, `repeat`: how often the content is repeated, `gzip`: whether it is compressed,
+- `hex`: content as hexadecimal digits, `repeat`: how often the content is repeated, `gzip`: whether it is
+  compressed,
 - `parquet`: columns of a Parquet file that differ from the run's, as lists with a type of pyarrow in front,
 - `npz`, `mat`: arrays that differ, as expressions of `ARRAYS`, `pickle`: a pickle that executes code.
 """

@@ -67,7 +67,7 @@ def log_text() -> str:
 
 
 def dialect_texts() -> dict[str, str]:
-    """Return logs with names and units in comments and other row ends, with names before numbers, and of LabVIEW."""
+    """Return logs with names and units in comments, other row ends, names before numbers, and of LabVIEW."""
     rows = [[f"{value:.6f}" for value in row] for row in run_table()]
     comments = [
         "%logger 7",

@@ -9,7 +9,8 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-MARK = "hostile_mark"  # in every text that would do something if it were executed; no page may contain it unescaped
+# In every text that would do something if it were executed; no page may contain it unescaped.
+MARK = "hostile_mark"
 PAYLOAD = f"__import__('pathlib').Path('{MARK}').touch()"
 TEXTS = (
     *(

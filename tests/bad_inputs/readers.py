@@ -273,7 +273,7 @@ def mat_log(draw: st.DrawFn) -> Case:
 
 @cache
 def _foreign_logs() -> dict[str, tuple[bytes, tuple[str, ...]]]:
-    """Return the content of a valid log of each format of other programs, and the options that map its columns."""
+    """Return the content of a valid log of each format, and the options that map its columns."""
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary, "logs")
         maps = write_all(folder)

@@ -1,4 +1,4 @@
-"""Every bad input of catalogue.toml is refused: exit code 2, exactly the stated line, nothing written or executed."""
+"""Every bad input of catalogue.toml is refused: exit code 2, the stated line, nothing written or run."""
 
 from __future__ import annotations
 

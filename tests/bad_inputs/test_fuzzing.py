@@ -1,4 +1,4 @@
-"""Mutated files, options and actions: every command ends with its result or with one line; the corpus stays mended."""
+"""Mutated files, options and actions: each command ends with a result or a line; the corpus stays mended."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Texts in files are data: no string of a machine.json reaches generated code, and no page contains one unescaped."""
+"""Texts in files are data: no string of a machine.json reaches code, and no page contains one unescaped."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_code_in_a_key_of_a_machine_is_refused_or_harmless(
 
 
 def _assert_harmless(text: str, folder: Path) -> None:
-    """Assert that a machine.json is refused, or that neither its kernel nor what is printed contains its strings."""
+    """Assert that a machine.json is refused, or that neither its kernel nor the output has its strings."""
     (folder / "m.json").write_text(text)
     shown = run_command(("machines", "show", "m.json"), folder)
     assert shown.problem == ""

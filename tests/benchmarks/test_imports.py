@@ -1,4 +1,4 @@
-"""Benchmarks, most of which no test runs, import names that exist. Their modules are read, as imports take long."""
+"""Benchmarks, most of which no test runs, import names that exist. They are read, as imports take long."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Test the conversions on synthetic logs with the format of the originals, so that the data are not needed."""
+"""Test the conversions on synthetic logs with the format of the originals, so that no data are needed."""
 
 from __future__ import annotations
 

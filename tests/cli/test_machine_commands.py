@@ -32,7 +32,7 @@ PAGE = (ROOT / "docs" / "machine.md").read_text("utf-8")
 
 @pytest.fixture
 def machines(hframe_command: Command) -> Command:
-    """Return a function that runs `hframe machines` in this process: exit code, standard output, standard error."""
+    """Return a function that runs `hframe machines` in this process: exit code, output, errors."""
     return partial(hframe_command, "machines")
 
 
@@ -156,8 +156,8 @@ def test_new_asks_on_a_terminal(tmp_path: Path) -> None:
     import os
 
     (tmp_path / "old.json").write_text("{}")
-    # Each wrong answer is refused and asked for again: the template, two files, the travel in millimeters, the command,
-    # a sensor, no sensors.
+    # Each wrong answer is refused and asked for again: the template, two files, the travel in millimeters,
+    # the command, a sensor, no sensors.
     answers = [
         "axes",
         "axis",

@@ -53,7 +53,7 @@ def test_scores_are_not_cut(metric: str, width: int) -> None:
 
 
 def test_a_band_in_which_nothing_settles_has_no_settling_time() -> None:
-    """The mean is then the length of the episodes, which is no settling time; what is left says how near it came."""
+    """The mean is then the episodes' length, which is no settling time; the rest says how near it came."""
     bands = {"1mm": 0.5, "0.2mm": 0.0, "0.05mm": 0.0}
     settling = {band: {"mean": 1.5} for band in bands}
     bound = {"0.2mm": {"ratio_of_means": {"mean": 5.9}}}

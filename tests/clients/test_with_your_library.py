@@ -1,7 +1,8 @@
-"""Run the blocks of docs/with_your_library.md with the libraries that are installed, and provoke its error messages.
+"""Run the blocks of docs/with_your_library.md with installed libraries, and provoke its error messages.
 
-Each section is one program in a process of its own: its Python blocks with a small number of steps, then the checks
-below. `pip install '.[clients]'` installs all libraries but RLlib, which needs an environment of its own.
+Each section is one program in a process of its own: its Python blocks with a small number of steps, then the
+checks below. `pip install '.[clients]'` installs all libraries but RLlib, which needs an environment of its
+own.
 """
 
 from __future__ import annotations
@@ -54,7 +55,8 @@ CLIENTS = {
 assert observation.shape == (4, 12)
 native.reset(seed=0), wrapped.reset(seed=0)
 for _ in range(151):
-    native_step, wrapped_step = native.step(native.action_space.sample()), wrapped.step(wrapped.action_space.sample())
+    native_step = native.step(native.action_space.sample())
+    wrapped_step = wrapped.step(wrapped.action_space.sample())
 assert native_step[0]["observation"].shape == (64, 8)
 """,
     ),
@@ -67,7 +69,7 @@ assert ppo.num_timesteps >= STEPS and sac.num_timesteps == STEPS
 observation = env.reset()
 check(PPO.load("ppo", device="cpu").predict(observation)[0]), check(sac.predict(sparse.reset())[0])
 relabeled = sac.replay_buffer.sample(64).rewards.numpy()
-assert set(np.unique(relabeled)) <= {-1.0, 0.0} and (relabeled == 0.0).any(), "no goal was relabeled to one reached"
+assert set(np.unique(relabeled)) <= {-1.0, 0.0} and (relabeled == 0.0).any(), "no goal was relabeled"
 """,
     ),
     "SB3-Contrib": Client(
@@ -135,7 +137,7 @@ assert len(distances_m) == 2, "two ends of all episodes in 384 steps"
         4096,
         """
 assert results["num_env_steps_sampled_lifetime"] >= STEPS
-assert abs(results["env_runners"]["episode_return_mean"]) < 10.0, "ln of the distance at start over that at the end"
+assert abs(results["env_runners"]["episode_return_mean"]) < 10.0, "ln of distance at start / at the end"
 """,
     ),
     "Minari data sets": Client(

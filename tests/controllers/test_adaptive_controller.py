@@ -1,4 +1,4 @@
-"""Tests of the adaptive controller, compared with the model-based one on stages that differ from their machine file.
+"""Tests of the adaptive controller, compared with the model-based one on stages unlike their machine file.
 
 Its online estimation is tested against an independent simulator and on randomized stages.
 """

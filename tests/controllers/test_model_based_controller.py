@@ -102,7 +102,7 @@ def test_a_replaced_action_is_not_taken_for_a_disturbance(
 
 @pytest.mark.parametrize(("delay_s", "longest_s"), [(0.0, 0.55), (0.005, 0.7)])
 def test_settles_under_a_load_that_swings_on(hframe: Machine, delay_s: float, longest_s: float) -> None:
-    """At the goal, a load of 0.3 of the cart's mass pulls by newtons, which stretch the belts by tenths of a mm."""
+    """At the goal, a load of 0.3 of the cart's mass pulls by newtons, stretching belts by tenths of a mm."""
     machine = hframe.with_effects(EFFECTS["payload_swing"].at("y", f0=1.8, zeta=0.04, r=0.3))
     if delay_s:
         machine = machine.with_effects(EFFECTS["input_delay"].at("drives", d=delay_s))

@@ -193,7 +193,8 @@ def test_a_declared_dead_time_is_bridged_with_the_estimated_parameters(delay_s):
     scenario = Scenario(machine=delayed, episodes=12, seed=SEED, duration_s=1.0)
     episodes = rollout(CONTROLLERS.get("predictive")(delayed, PERIOD), scenario)
     assert settling_times(episodes.goal_error, episodes.time_s, 5e-5)[1].all()
-    # With the mean voltage of each period in the estimator, or the declared parameters in the prediction, 0.015 mm or
+    # With the mean voltage of each period in the estimator, or the declared parameters in the prediction,
+    # 0.015 mm or
     assert contour_error_m(delayed) < {2e-3: 1.2e-5, 12e-3: 2.5e-5}[delay_s]
 
 

@@ -18,7 +18,7 @@ GAINS = {"speed_gain": 0.02, "integral_rate": 10.0, "torque_limit": 0.5}
 
 
 def with_loops(kind: str, name: str = "hframe") -> Machine:
-    """Return a machine whose drives follow positions or speeds; a rated position reaches the workspace's corners."""
+    """Return a machine with position or speed drives; rated positions reach the workspace's corners."""
     machine = load_machine(name)
     reach = np.abs(rest_positions_per_axis(machine))
     farthest = np.array([np.abs(machine.coordinate(axis).range).max() for axis in machine.tool_axes])

@@ -107,7 +107,7 @@ def test_an_encoder_that_keeps_its_value_while_its_drive_pushes_both_ways_is_sus
 def test_an_encoder_whose_motor_is_held_by_friction_is_not_stuck(
     lasers: bool, coulomb: float, hframe: Machine
 ) -> None:
-    """Drive motor 2 alone: the carriage moves diagonally, belts stretch, and motor 1 rests within its friction."""
+    """Drive motor 2 alone: the carriage moves diagonally, belts stretch, motor 1 rests within friction."""
     machine = hframe.replace({"phi1.coulomb": coulomb, "phi2.coulomb": coulomb})
     time = np.arange(3000) * 1e-3
     volts = (10.0 if coulomb > 0.5 else 4.0) * np.sign(np.sin(2 * np.pi * (time - 0.2))) * (time > 0.2)
@@ -129,7 +129,7 @@ def test_a_laser_at_the_end_of_its_range_is_clipped(runs: list[Recording], hfram
 def test_lasers_that_end_at_their_range_do_not_make_other_channels_suspect(
     hframe: Machine, count: int
 ) -> None:
-    """Lasers of 40 mm range are clipped for most of a run: no encoder is stuck, and none has a wrong scale."""
+    """Lasers of 40 mm range are clipped for most of a run: no encoder is stuck, none has a wrong scale."""
     near = [r for r in example_runs("rig_b")[:count] if np.abs(r.outputs[:, [X, Y]]).max() > 0.05]
     clipped = with_column(
         with_column(near, X, lambda y: np.clip(y, -0.02, 0.02)), Y, lambda y: np.clip(y, -0.02, 0.02)
@@ -153,7 +153,7 @@ def test_a_run_in_which_one_motor_rests_alone_has_no_fault(hframe: Machine) -> N
 def test_lasers_that_measure_less_often_than_the_log_has_rows(
     lasers_in_one_row: bool, runs: list[Recording], hframe: Machine
 ) -> None:
-    """A 200 Hz laser in a 1 kHz log: four of five cells are empty and stay empty; mistakes in it are still found."""
+    """A 200 Hz laser in a 1 kHz log: four of five cells stay empty; mistakes in it are still found."""
 
     def thin(y: np.ndarray, first: int) -> np.ndarray:
         return np.where(np.arange(len(y)) % 5 == first, y, np.nan)

@@ -61,7 +61,7 @@ def signs(findings: list[Finding]) -> list[str]:
 
 @pytest.mark.parametrize("stiffness", [0.05, 0.15, 0.5])
 def test_an_undeclared_spring_is_no_wrong_sign(stiffness: float) -> None:
-    """Below resonance, the torque and the angle have one sign; the declared machine would turn the other way."""
+    """Below resonance, torque and angle have one sign; the declared machine would turn the other way."""
     machine = torque_motor()
     spring = EFFECTS["cable_spring"].at("shaft", k=stiffness, q0=0.0)
     assert signs(check_before_fit(slow_runs(machine, spring), machine)) == []
@@ -88,7 +88,7 @@ def test_a_wrong_sign_beside_an_undeclared_spring_is_a_fault_where_friction_show
 
 @pytest.mark.parametrize("seed", range(8))
 def test_random_machines_with_springs_weights_and_offsets_have_no_fault(seed: int) -> None:
-    """Right wiring, whatever the machine file lacks: parameters off by up to 2, a spring, a weight and a bias."""
+    """Right wiring, whatever the file lacks: parameters off by up to 2, a spring, a weight and a bias."""
     rng = np.random.default_rng(seed)
     declared = torque_motor()
     factors = np.exp(rng.uniform(-0.7, 0.7, 3))
@@ -132,7 +132,7 @@ def test_inputs_of_another_recording_are_advice() -> None:
 
 
 def test_the_balance_returns_inertia_and_friction() -> None:
-    """The simulator is the oracle: windows of any length give the declared inertia and friction with the back-EMF."""
+    """The simulator is the oracle: any windows give the declared inertia and friction with back-EMF."""
     axis = BUILTIN_MACHINES["axis"]()
     time = np.arange(4000) * 1e-3
     volts = np.repeat(np.random.default_rng(0).uniform(-6, 6, 80), 50)[:, None]
@@ -151,7 +151,7 @@ def test_the_balance_returns_inertia_and_friction() -> None:
 
 
 def test_windows_agree_with_the_accelerations_of_a_known_motion() -> None:
-    """Input and position of a mass m under a force F that changes within a window: m z'' = F for the means."""
+    """Input and position of a mass m under a force F that changes within a window: m z'' = F for means."""
     time = np.arange(0.0, 1.0, 1e-3)
     force = np.repeat(np.random.default_rng(2).uniform(-1.0, 1.0, 1000 // 8), 8)
     speed = np.concatenate([[0.0], np.cumsum(force * 1e-3)])[:1000]

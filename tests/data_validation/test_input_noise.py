@@ -53,7 +53,7 @@ def test_commands_and_quiet_measurements_are_not_reported(channel: str, values: 
 
 
 def test_the_command_of_a_controller_that_differentiates_an_encoder_is_not_reported() -> None:
-    """The drive follows it, however rough it is; the noise of a current sensor beside the same encoder is reported."""
+    """The drive follows it, however rough it is; noise of a current sensor beside its encoder is reported."""
     encoder = np.rint(np.sin(15.0 * TIME) / 0.01) * 0.01
     encoder[500:520] = np.nan
     error = np.nan_to_num(0.2 * np.cos(3.0 * TIME) - encoder)

@@ -153,7 +153,7 @@ def test_a_delay_that_is_declared_too_long_is_no_fault_of_the_recordings() -> No
 
 
 def test_measurements_that_are_taken_within_a_row_are_no_fault() -> None:
-    """The sensor is read 0.6 rows after the time of the row: neither the logged nor the shifted voltages fit."""
+    """The sensor is read 0.6 rows after its row: neither the logged nor the shifted voltages fit."""
     rng = np.random.default_rng(5)
     runs = []
     for k in range(3):

@@ -1,4 +1,4 @@
-"""Units within the reach of a wrong gain, encoders that contradict each other, clocks, and speeds as positions."""
+"""Units within reach of a wrong gain, encoders that contradict each other, clocks, speeds as positions."""
 
 from __future__ import annotations
 

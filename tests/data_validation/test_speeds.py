@@ -27,7 +27,7 @@ def motor(*, position: bool = True) -> Machine:
 
 
 def run(machine: Machine, volts: tuple[float, ...], name: str = "run") -> Recording:
-    """Return a simulated run with levels of the voltage that last 0.25 s each, and the noise of the tachometer."""
+    """Return a simulated run with voltage levels of 0.25 s each, and the noise of the tachometer."""
     time_s = np.arange(250 * len(volts)) * 1e-3
     inputs = np.repeat(volts, 250)[:, None]
     outputs = simulate(machine, time_s, inputs).outputs.copy()

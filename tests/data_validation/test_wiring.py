@@ -155,7 +155,7 @@ def test_the_sign_of_a_sensor_that_is_slower_than_the_log_is_checked(rows: int) 
 
 @pytest.mark.parametrize(("sign", "named"), [(1.0, False), (-1.0, True)])
 def test_two_inertias_on_an_elastic_shaft_turn_together(sign: float, named: bool) -> None:
-    """Above the resonance, the load moves against the motor, and the sum of both explains less of the torque."""
+    """Above the resonance, the load moves against the motor, and their sum explains less of the torque."""
     rotor, load = (
         Coordinate(n, m, 1e-3, 0.01, kind="rotary") for n, m in (("rotor", 5e-4), ("load", 1.5e-3))
     )

@@ -24,7 +24,8 @@ from tests.reference_simulator.axis import Axis, Servo, held_levels, record
 
 ROWS, PERIOD = 500, 5e-3
 KT = 0.02  # Nm/A
-# An industrial drive of the speed behind a gear, and a hobby servo: a proportional-derivative loop of the position.
+# An industrial drive of the speed behind a gear, and a hobby servo: a proportional-derivative loop of the
+# position.
 SERVOS = {
     "speed": Servo(speed_gain=2e-3, reset_time=0.05, largest_torque=0.03, gear=3.0),
     "position": Servo(position_gain=25.0, speed_gain=2e-3, largest_torque=0.03, gear=3.0),
@@ -77,7 +78,7 @@ def test_the_generated_step_is_the_specified_one(kind: str) -> None:
 
 
 def test_a_torque_limit_that_every_row_reaches_and_leaves_needs_no_short_steps() -> None:
-    """A printer's motors follow positions that are held for 1 ms, each of which asks for more than their torque."""
+    """A printer's motors follow positions held for 1 ms, each of which needs more than their torque."""
     servo = Servo(position_gain=5000.0, speed_gain=5e-3, largest_torque=0.6)
     machine = servo_machine("position", servo).replace({"shaft.mass": 2e-5})
     time_s = 1e-3 * np.arange(300)
@@ -87,7 +88,7 @@ def test_a_torque_limit_that_every_row_reaches_and_leaves_needs_no_short_steps()
 
 
 def recordings_of(kind: str, servo: Servo, sensors: tuple[Sensor, ...]) -> list[Recording]:
-    """Return recordings of the independent simulator with rounded measurements of the angle and of the current."""
+    """Return recordings of the independent simulator with rounded angles and currents."""
     recordings = []
     for run in range(4):
         motion = record(Axis(servo=servo), held_levels(run, ROWS, 40, LARGEST[kind]), ROWS, PERIOD)
@@ -225,7 +226,7 @@ def test_the_friction_that_differs_between_runs_is_found():
 
 
 def displaced_runs(first_row: int, place: float = 5.0) -> tuple[Machine, list[Recording]]:
-    """Return a servo and its runs from a row on; commands are around a place, rad; its encoder counts 2 rad more."""
+    """Return a servo and its runs from a row on; commands around a place, rad; an encoder with 2 rad more."""
     servo, sensor, recordings = SERVOS["position"], SENSORS["speed"], []
     for run in range(3):
         motion = record(Axis(servo=servo), held_levels(run, 400, 40, 1.0), 400, PERIOD)

@@ -1,4 +1,4 @@
-"""Stepper motors: against the independent simulator, from the file to control; steps are lost by the sine alone."""
+"""Stepper motors: against the independent simulator, from file to control; the sine alone loses steps."""
 
 import gymnasium as gym
 import numpy as np

@@ -1,4 +1,4 @@
-"""Derivatives of simulated motions against central differences of the kernel, and at the corner of friction."""
+"""Derivatives of simulated motions against central differences of the kernel, and at friction's corner."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ FEW = (
 
 
 class Case:
-    """Motions of four machines in all directions of state, voltages and parameters, and a weighted sum of results."""
+    """Motions of four machines in all directions of state, voltages and parameters, and a weighted sum."""
 
     def __init__(self, machine, periods=5, seed=0):
         generator = np.random.default_rng(seed)

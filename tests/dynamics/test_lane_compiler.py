@@ -279,7 +279,7 @@ def cogging_machine() -> Machine:
 
 
 def states_and_measurements(addresses: Mapping[str, int], source: KernelSource, lanes: int) -> bytes:
-    """Return the states and sensor measurements of 16 machines after each of 200 steps, by a kernel's functions."""
+    """Return states and measurements of 16 machines after each of 200 steps, by a kernel's functions."""
     rng = np.random.default_rng(0)
     nominal = np.array(list(source.machine.parameters.values()))
     parameters = nominal[:, None] * rng.uniform(0.8, 1.2, (len(nominal), 16))
@@ -317,7 +317,8 @@ def test_the_kernel_of_every_processor_gives_the_same_bits(
     assert states_and_measurements(addresses, source, lanes) == here
 
 
-# Simulates a machine with every kind of branch, and means of the voltages over its drives' delay; prints all bits.
+# Simulates a machine with every kind of branch, and means of the voltages over its drives' delay; prints all
+# bits.
 _SIMULATION = """
 import hashlib, numpy as np, hframe_gym
 from hframe_gym.dynamics import LANES, simulate_batch

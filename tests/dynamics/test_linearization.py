@@ -1,4 +1,4 @@
-"""Linearization against eq. 21-22 as printed (with the gear ratio of the erratum), textbook formulas and SciPy."""
+"""Linearization against eq. 21-22 as printed (with the erratum's gear ratio), textbook formulas and SciPy."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def stiffness_by_formula(machine: Machine, position: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("name", [n for n, machine in BUILTIN_MACHINES.items() if not machine().drive_laws])
 def test_derivatives_equal_the_formulas(name: str) -> None:
-    """Stiffness G' diag(k) G, damping with back-EMF, motor gains and sensor coefficients, at rest off the center."""
+    """Stiffness G' diag(k) G, damping with back-EMF, motor gains, sensor coefficients, off the center."""
     machine = BUILTIN_MACHINES[name]()
     n = len(machine.coordinates)
     position = rest_state(machine, 0.07)[:n]

@@ -1,4 +1,4 @@
-"""Names in a machine file are labels: no choice of names, and no order of factors, changes a result by one bit."""
+"""Names in a machine file are labels: no names, and no order of factors, change a result by one bit."""
 
 from __future__ import annotations
 
@@ -38,7 +38,8 @@ ADDED = {
     "frame",
     *(f"phi{i}" for i in range(3, 9)),
 }  # coordinates that structural effects name themselves
-# Each with effects at sites of every kind, on single components and on all at once, and with each structural effect.
+# Each with effects at sites of every kind, on single components and on all at once, and with each structural
+# effect.
 EFFECTS_OF_MACHINES: dict[str, tuple[str, Sequence[tuple[str, str, Mapping[str, float]]]]] = {
     "many effects": (
         "hframe",
@@ -65,7 +66,7 @@ EFFECTS_OF_MACHINES: dict[str, tuple[str, Sequence[tuple[str, str, Mapping[str, 
 
 
 def with_effects(machine: Machine, name: str, new: Mapping[str, str]) -> Machine:
-    """Return a machine with the effects of an entry of `EFFECTS_OF_MACHINES` at sites whose names have changed."""
+    """Return a machine with the effects of an entry of `EFFECTS_OF_MACHINES` at renamed sites."""
     effects = []
     for effect, site, parameters in EFFECTS_OF_MACHINES[name][1]:
         variable, of, coordinate = effect.removesuffix("]").partition(" of ")
@@ -78,7 +79,7 @@ def with_effects(machine: Machine, name: str, new: Mapping[str, str]) -> Machine
 
 
 def labels_of(machine: Machine) -> tuple[str, ...]:
-    """Return the names of coordinates, belts, drives, input and output channels, which all differ in a preset."""
+    """Return the names of coordinates, belts, drives, input and output channels, all different ones."""
     names = [c.name for c in (*machine.coordinates, *machine.belts, *machine.drives)]
     return (*names, *machine.input_channels, *machine.output_channels)
 
@@ -140,8 +141,8 @@ def renamed(name: str, names: Sequence[str], reverse_rows: bool = False) -> Mach
 
 MACHINES = (*BUILTIN_MACHINES, *EFFECTS_OF_MACHINES)
 COUNT = max(len(labels_of(machine())) for machine in BUILTIN_MACHINES.values())
-# Words of the generated source, of Python, NumPy and Numba, the names of all presets (so that names are exchanged),
-# words that sites of effects use, and names that once collided with local variables.
+# Words of the generated source, of Python, NumPy and Numba, the names of all presets (so that names are
+# exchanged), words that sites of effects use, and names that once collided with local variables.
 WORDS = sorted(
     {
         *re.findall(r"[A-Za-z_]\w*", original("many effects")[1]),
@@ -159,7 +160,8 @@ WORDS = sorted(
 SIZE = {"min_size": COUNT, "max_size": COUNT, "unique": True}
 IDENTIFIERS = st.text("aA_0", min_size=1, max_size=5).map("_".__add__)
 NEW_NAMES = st.lists(st.sampled_from(WORDS), **SIZE) | st.lists(IDENTIFIERS, **SIZE)
-# The names that once changed the simulated encoder readings by 0.26 rad, and others that are likely to collide.
+# The names that once changed the simulated encoder readings by 0.26 rad, and others that are likely to
+# collide.
 _COLLISIONS = """
 s y a last first right bottom f motor2 v_1 v_2 phi1_rad phi2_rad x_m y_m
 x s phi2 phi1 right left bottom motor2 motor1 v2_V v1_V phi2_rad phi1_rad y_m x_m
@@ -176,7 +178,7 @@ COLLISIONS = [line.split() for line in _COLLISIONS.split("\n") if line]
 def test_no_name_reaches_the_kernel_or_the_linear_model(
     name: str, names: list[str], reverse_rows: bool
 ) -> None:
-    """The generated source is equal for all names and with it every bit of a simulation; so are the parameters."""
+    """The source is equal for all names and with it every bit of a simulation; so are the parameters."""
     machine, text = original(name)
     other = renamed(name, names, reverse_rows)
     assert kernel_source_text(other) == text
@@ -290,7 +292,7 @@ def test_a_file_whose_effect_lacks_its_coordinate_is_refused(tmp_path: Path) -> 
 
 
 def test_a_channel_with_the_name_of_another_component_is_that_channel(tmp_path: Path) -> None:
-    """The laser of x is called like the pulley phi1; its scale has the units of the laser and acts on it alone."""
+    """The laser of x is called like the pulley phi1; its scale has the laser's units and acts on it alone."""
     names = list(labels_of(original("hframe")[0]))
     names[names.index("x_m")], names[names.index("y_m")] = "phi1", "motor1"
     machine = renamed("hframe", names).with_effects(

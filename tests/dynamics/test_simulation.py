@@ -1,4 +1,4 @@
-"""Simulation against an independent event-driven simulator (tests/reference_simulator), and its general properties."""
+"""Simulation against an event-driven simulator (tests/reference_simulator), and its general properties."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ def history(seed: int) -> np.ndarray:
 def difference(machine: Machine, rig: Rig, seed: int) -> float:
     """Return the largest difference of travel over 0.4 s of random voltages, m.
 
-    A delayed voltage changes within a step, which uses its mean over the step; therefore the step is shorter then.
+    A delayed voltage changes within a step, which uses its mean over the step; therefore the step is shorter
+    then.
     """
     inputs = history(seed)
     exact, _ = reference.simulate(rig, TIME, inputs, START)

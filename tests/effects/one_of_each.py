@@ -47,7 +47,7 @@ class Case:
         return EFFECTS[self.name].at(self.site, **self.parameters)
 
     def run(self, time_s: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return positions, velocities and ideal readings (phi1, phi2, x, y), each (n, 4), of a rig with the effect."""
+        """Return positions, velocities, ideal readings (phi1, phi2, x, y), each (n, 4), of a rig."""
         logged_s = time_s - time_s[0]
         actual_s = time_s[0] + np.expm1(self.drift * logged_s) / self.drift if self.drift else time_s
         positions, velocities = simulate(dataclasses.replace(Rig(), **self.rig), actual_s, inputs, START)
@@ -55,7 +55,7 @@ class Case:
 
 
 def history(seed: int, seconds: float = 0.45, hold_s: float = 0.01) -> tuple[np.ndarray, np.ndarray]:
-    """Return times (n,) at 1 kHz and random voltages (n, 2) up to 8 V, held for `hold_s`, after 80 ms of rest."""
+    """Return times (n,) at 1 kHz and random voltages (n, 2) up to 8 V, held `hold_s`, after 80 ms of rest."""
     time_s = np.arange(round(seconds * 1000) + 1) * 1e-3
     rows = round(hold_s * 1000)
     levels = np.random.default_rng(seed).uniform(-8.0, 8.0, (len(time_s) // rows + 1, 2))

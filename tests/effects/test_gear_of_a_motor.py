@@ -1,4 +1,4 @@
-"""The gap of a gear between a motor and its load, without belts, against a simulator that shares no code with it."""
+"""The gap of a gear between a motor and its load, without belts, against a simulator without shared code."""
 
 from __future__ import annotations
 
@@ -126,14 +126,14 @@ def test_parameters_are_recovered_from_the_motor_alone() -> None:
 
 
 def test_what_a_motor_turns_has_a_gap_and_a_carriage_has_none() -> None:
-    """Without belts, the load of a rotary coordinate is behind the gap; a second carriage would be a second axis."""
+    """Without belts, a rotary coordinate's load is behind the gap; a second carriage would be an axis."""
     assert effect_sites(EFFECTS["gear_backlash"], MOTOR) == ("motor",)
     assert effect_sites(EFFECTS["gear_backlash"], BUILTIN_MACHINES["axis"]()) == ()
     assert MOTOR.with_effects(EFFECT).tool_axes == ("shaft_load",)
 
 
 def test_the_current_shows_no_scale_error_of_the_only_sensor_of_motion() -> None:
-    """With inertia, friction and back-EMF larger by its factor, angle and current are the same in every recording."""
+    """With inertia, friction and back-EMF larger by its factor, angle and current stay the same."""
     assert effect_sites(EFFECTS["sensor_scale"], MOTOR) == ()
     true, scale = motion(3), EFFECTS["sensor_scale"].at("shaft_rad", g=1.0)
     names = ("shaft.mass", "shaft.viscous", "motor.Ke")

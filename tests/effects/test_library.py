@@ -96,7 +96,7 @@ def test_an_argument_means_one_thing(parameter: str, force: Callable[..., Any], 
     ],
 )
 def test_a_unit_is_a_unit_or_the_name_of_one_quantity(unit: str, message: str) -> None:
-    """A misspelled name would be shown as a unit, and its starting values would not be relative to the machine."""
+    """A misspelled name would be shown as a unit, and its start values not relative to the machine."""
     with pytest.raises(InputError, match=message) if message else nullcontext():
         Effect(
             name="spring",
@@ -175,7 +175,7 @@ def test_idlers_need_the_belts_of_an_h_frame(belt: str, hframe: Machine) -> None
 
 
 def test_components_of_shared_sites(hframe: Machine) -> None:
-    """A search tries all drives or all belts first, then each of them; other effects on drives have no shared site."""
+    """A search tries all drives or belts first, then each; other effects on drives have no shared site."""
     assert effect_sites(EFFECTS["electrical_lag"], hframe) == ("drives", "motor1", "motor2")
     assert effect_sites(EFFECTS["input_delay"], hframe) == ("drives", "motor1", "motor2")
     assert effect_sites(EFFECTS["belt_play"], hframe) == ("belts", "left", "right", "bottom")
@@ -189,7 +189,7 @@ def test_components_of_shared_sites(hframe: Machine) -> None:
 
 
 def test_teeth_of_a_gear_are_no_belt(hframe: Machine) -> None:
-    """Both gears may have a gap; effects at "belts" leave their teeth alone, and far sides follow displacements."""
+    """Both gears may have a gap; effects at "belts" leave their teeth alone, far sides are displaced."""
     gears = [
         EFFECTS["gear_backlash"].at(m, **CASES["gear_backlash"].parameters) for m in ("motor1", "motor2")
     ]

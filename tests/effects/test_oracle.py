@@ -1,4 +1,4 @@
-"""The kernel with each effect against an event-driven simulator that has no code and no method in common with it."""
+"""The kernel with each effect against an event-driven simulator without common code or method."""
 
 from __future__ import annotations
 

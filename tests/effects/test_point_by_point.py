@@ -1,4 +1,4 @@
-"""Accelerations and rates of states with each effect, at random points, against the independent simulator's equations.
+"""Accelerations and rates of states with each effect, at random points, against independent equations.
 
 Nothing is integrated and no kernel is compiled, so that a wrong sign or factor is found within a second.
 """
@@ -35,8 +35,8 @@ pytestmark = pytest.mark.oracle
 POINTS = 40
 DELAYS = {"input_delay", "sensor_delay"}  # no quantity of a single point
 DYNAMIC = [case for case in CASES.values() if case.rig and case.name not in DELAYS]
-# Entry of the simulator's state (offset in multiples of the number of coordinates, constant) and its factor per unit of
-# the effect's state.
+# Entry of the simulator's state (offset in multiples of the number of coordinates, constant) and its factor
+# per unit of the effect's state.
 STATES = {
     "presliding": (2, 2, 1.0),
     "bouc_wen_hysteresis": (3, 2, CASES["bouc_wen_hysteresis"].parameters["L"]),

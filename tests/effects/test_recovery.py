@@ -1,6 +1,7 @@
 """Identification recovers the parameters of each effect from noisy recordings of the independent simulator.
 
-The other parameters of the machine are exact; benchmarks/identification.py identifies rigs with unknown parameters.
+The other parameters of the machine are exact; benchmarks/identification.py identifies rigs with unknown
+parameters.
 """
 
 from __future__ import annotations
@@ -50,7 +51,8 @@ def test_parameters_are_recovered(case: Case, hframe: Machine) -> None:
     data = prepare(recordings, hframe)
     positions, velocities = (np.concatenate(part) for part in zip(*motions, strict=True))
     scale = scales_of_motion(hframe, positions, velocities, [r.inputs for r in recordings])
-    # The exact parameters come first, because a structural effect subtracts its inertia from declared components.
+    # The exact parameters come first, because a structural effect subtracts its inertia from declared
+    # components.
     machine = hframe.with_effects(case.effect).replace(near(case))
     free = effect_parameters(machine.effects[0], machine, scale)
     result = fit(machine, free, data, SIMULATION, longest_step=POLISH_STEP)

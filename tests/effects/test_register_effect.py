@@ -94,7 +94,7 @@ def test_an_effect_of_a_speed_sensor_depends_on_the_position_of_what_it_measures
 
 
 def test_an_effect_says_itself_which_kinds_of_sensors_it_fits(hframe: Machine) -> None:
-    """Those of the library fit positions, one outside it may fit a speed; a current has no coordinate of its own."""
+    """The library's fit positions, another one may fit a speed; a current has no coordinate of its own."""
     speed = Sensor("w1_rad_s", {"phi1": 1.0}, kind="speed")
     machine = hframe.with_components(speed, Sensor("i1_A", {"motor1": 1.0}, kind="current"))
     others = {"w1_rad_s", "i1_A"}

@@ -1,4 +1,4 @@
-"""Copies of environments in mid-episode: they respond to new actions and continue bit-equal to the original."""
+"""Copies of environments in mid-episode: they take new actions and continue bit-equal to the original."""
 
 import copy
 import itertools

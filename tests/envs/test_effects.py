@@ -11,10 +11,11 @@ from hframe_gym.machine import BUILTIN_MACHINES
 
 pytestmark = pytest.mark.integration
 
-# One effect of each kind: with a state, with a state at a drive, at a belt, with a new coordinate and products in
-# sensor rows, with tied belts.
+# One effect of each kind: with a state, with a state at a drive, at a belt, with a new coordinate and
+# products in sensor rows, with tied belts.
 FAST = ("presliding", "electrical_lag", "belt_slack", "bridge_yaw", "idler_inertia")
-# Parameters for which the effect matters, where the amplitude's scale and the first value of the grid are too small.
+# Parameters for which the effect matters, where the amplitude's scale and the first value of the grid are too
+# small.
 NUMBERS = {
     "eccentric_pulley": {"e": 1e-4, "p": 0.5},
     "belt_play": {"d": 0.15e-3},

@@ -1,4 +1,4 @@
-"""Machines with a rotary axis: goals in rad, the lengths of tasks and rewards as angles, the same controllers."""
+"""Machines with a rotary axis: goals in rad, lengths of tasks and rewards as angles, the same controllers."""
 
 import math
 import warnings

@@ -170,7 +170,7 @@ def test_ppo_learns_with_its_default_hyperparameters():
 
 
 def test_infos_hold_what_the_progress_reward_needs():
-    """Hindsight replay computes rewards from stored infos, so every info must hold the goals before its step."""
+    """Hindsight replay computes rewards from stored infos, so each must hold the goals before its step."""
     vec, rng = HFrameVecEnv(2, normalize=True), np.random.default_rng(0)
     observation, stored = vec.reset(), []
     for _ in range(5):

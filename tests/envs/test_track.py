@@ -1,4 +1,4 @@
-"""Task `track`: goals against closed forms, preview, contour error, path files, and both environment checkers."""
+"""Task `track`: goals against closed forms, preview, contour error, path files, both environment checkers."""
 
 import warnings
 from dataclasses import dataclass
@@ -60,7 +60,8 @@ def test_goal_starts_at_rest_and_keeps_its_speed(path):
         return np.linalg.norm(ends[1] - ends[0], axis=1) / step
 
     assert speed(0.0).max() < 1e-4
-    # Half of the speed is reached half-way through the speed-up. A chord across a corner is slightly too short.
+    # Half of the speed is reached half-way through the speed-up. A chord across a corner is slightly too
+    # short.
     np.testing.assert_allclose(speed(0.1), 0.15, rtol=1e-3)
     np.testing.assert_allclose(speed(0.61), 0.3, rtol=1e-4)
 

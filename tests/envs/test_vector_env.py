@@ -1,4 +1,4 @@
-"""The vector environment returns the bits of single ones, in every autoreset mode and for any thread count."""
+"""The vector environment returns the bits of single ones, in every autoreset mode and any thread count."""
 
 import gymnasium as gym
 import numpy as np
@@ -31,7 +31,7 @@ def same(a, b, path=""):
 
 
 def actions(n, steps, seed=0):
-    """Return random actions, (steps, n, 2), held for five steps so that tools move, some outside the range."""
+    """Return random actions, (steps, n, 2), held five steps so that tools move, some outside the range."""
     drawn = np.random.default_rng(seed).uniform(-1.2, 1.2, (steps // 5 + 1, n, 2))
     return np.repeat(drawn, 5, axis=0)[:steps].astype(np.float32)
 

@@ -1,4 +1,4 @@
-"""The workspace and its end stops: active region, parameter order, and independence of neighbors in a SIMD block."""
+"""The workspace and its end stops: region, parameter order, and independent neighbors in a SIMD block."""
 
 import numpy as np
 import pytest

@@ -15,9 +15,9 @@ Array = NDArray[np.float64]
 COORDINATES, DRIVES = 5, 2
 YAW = 4
 
-# Rows of the table of parameters. Its five columns are the coordinates; belts use the first three, drives the first
-# two, what belongs to none of them the first one. An effect is absent where its amplitude is zero or its limit
-# infinite.
+# Rows of the table of parameters. Its five columns are the coordinates; belts use the first three, drives the
+# first two, what belongs to none of them the first one. An effect is absent where its amplitude is zero or
+# its limit infinite.
 FIELDS = (
     "mass",
     "viscous",
@@ -131,7 +131,8 @@ FIELDS = (
     FRAME_RATIO,
 ) = range(len(FIELDS))
 
-# State: positions, velocities, bristles, hystereses (5 each), currents (2), position and velocity of the frame.
+# State: positions, velocities, bristles, hystereses (5 each), currents (2), position and velocity of the
+# frame.
 BRISTLE, HYSTERESIS, CURRENT, FRAME = (
     2 * COORDINATES,
     3 * COORDINATES,
@@ -160,7 +161,7 @@ def friction_level(i: int, q: float, v: float, t: float, p: Array) -> float:  # 
 
 @njit(cache=True)
 def applied_force(i: int, q: float, v: float, p: Array) -> float:  # pragma: no cover - compiled
-    """Return the forces on a coordinate that depend on its position and speed only, without dry friction, N or Nm."""
+    """Return a coordinate's forces by its position and speed only, without dry friction, N or Nm."""
     b = p[VISCOUS, i]
     if v > 0.0:
         b *= 1.0 + p[VISCOUS_ASYMMETRY, i]
@@ -236,7 +237,7 @@ def add_belts(state: Array, p: Array, force: Array) -> None:  # pragma: no cover
 def add_drives(
     state: Array, volts: Array, h: float, p: Array, force: Array, load: Array
 ) -> None:  # pragma: no cover - compiled
-    """Add the motors' torques, set the friction that they cause; advance their currents by the implicit Euler rule."""
+    """Add the motors' torques, set their friction; advance their currents by the implicit Euler rule."""
     for j in range(DRIVES):
         u = p[DRIVE_GAIN, j] * min(max(volts[j], -p[VOLTAGE_LIMIT_V, j]), p[VOLTAGE_LIMIT_V, j])
         band = p[DEAD_BAND_V, j]

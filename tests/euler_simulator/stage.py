@@ -28,7 +28,8 @@ def parameter_table(**values: float | tuple[float, ...] | Array) -> Array:
     """Return the table of parameters for `EulerStage`.
 
     Args:
-        **values: Value of every field: per coordinate (four, without the yaw, or five), belt or drive, or a number.
+        **values: Value of every field: per coordinate (four, without the yaw, or five), belt or drive, or a
+            number.
 
     Returns:
         The table, shape (len(FIELDS), 5).
@@ -76,7 +77,7 @@ class EulerStage:
         self._pending: tuple[deque[tuple[float, float]], ...] = (deque(), deque())
 
     def _unstretched(self, j: int, travel: float) -> float:
-        """Return the angle, rad, at which a pulley has drawn in a length of belt, m; by fixed-point iteration."""
+        """Return the angle, rad, at which a pulley has drawn in a length of belt, m, by iteration."""
         p = self._parameters
         r, e, phase = p[RADIUS_M, 0], p[ECCENTRICITY_M, j], p[ECCENTRICITY_PHASE, j]
         angle = travel / r

@@ -1,4 +1,4 @@
-"""Compare the Euler simulator with the package's kernel and, effect by effect, with the reference simulator."""
+"""Compare the Euler simulator with the package's kernel and, by effect, with the reference simulator."""
 
 import dataclasses
 

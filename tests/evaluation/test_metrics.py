@@ -33,7 +33,7 @@ SEED = 1000  # of episodes whose bounds are stored
 
 
 def episodes(**changes: object) -> Episodes:
-    """Return two episodes of four samples and two periods along x to 10 mm: one arrives, one stops at 9.5 mm."""
+    """Return two episodes of four samples and two periods along x to 10 mm: one stops at 9.5 mm."""
     x = 1e-3 * np.array([[0.0, 9.7, 10.03, 10.0], [0.0, 9.0, 9.5, 9.5]])
     fields: dict[str, object] = {
         "time_s": 0.1 * np.arange(4),

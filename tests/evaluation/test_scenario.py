@@ -40,7 +40,8 @@ class Proportional(Controller):
 
     def act(self, observation):
         error = observation["desired_goal"] - observation["observation"][:, :2]
-        return np.clip(-20.0 * np.stack([error[:, 1] + error[:, 0], error[:, 1] - error[:, 0]], axis=1), -1.0, 1.0)
+        both = np.stack([error[:, 1] + error[:, 0], error[:, 1] - error[:, 0]], axis=1)
+        return np.clip(-20.0 * both, -1.0, 1.0)
 '''
 
 
@@ -89,7 +90,7 @@ def test_names_make_controllers() -> None:
 
 @pytest.mark.parametrize("sensors", ["rig", "machine"])
 def test_estimator_measures_what_the_environment_observes(sensors: str) -> None:
-    """Both read the sensors that the machine declares, so the first measurements agree with their ranges and noise."""
+    """Both read the declared sensors, so the first measurements agree with their ranges and noise."""
     scenario = Scenario(sensors=sensors, episodes=4, duration_s=0.02)  # type: ignore[arg-type]
     controller = make_controller("pid", scenario)
     assert isinstance(controller, OutputFeedbackController)

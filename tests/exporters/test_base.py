@@ -1,4 +1,4 @@
-"""Exported files: whole or not at all, where --out says, equal for equal machines; the command for each exporter."""
+"""Exported files: whole or not at all, where --out says, equal for equal machines; exporters' commands."""
 
 from __future__ import annotations
 

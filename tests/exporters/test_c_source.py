@@ -1,4 +1,4 @@
-"""C and Structured Text compute what the equations of motion do, and the simulator follows the feedforward."""
+"""C and Structured Text compute what the equations of motion do, and the simulator follows feedforward."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def test_the_feedforward_gives_the_acceleration_in_the_equations_of_motion(
 @pytest.mark.integration
 @pytest.mark.parametrize("effects", [(), ("stribeck_friction", "cogging", "quadratic_drag")])
 def test_the_simulated_tool_follows_the_feedforward(effects: tuple[str, ...], hframe: Machine) -> None:
-    """With belts a hundred times stiffer, the simulator's tool stays on the planned path without any feedback."""
+    """With belts a hundred times stiffer, the simulator's tool stays on its path without any feedback."""
     machine = hframe.replace({f"{b.name}.EA": 100.0 * b.EA for b in hframe.belts})
     machine = machine.with_effects(*(CASES[name].effect for name in effects))
     dynamics = InverseDynamics(machine)
@@ -155,7 +155,8 @@ def test_the_motor_reference_stretches_the_belts_to_the_needed_force(hframe: Mac
     motors = dynamics.motor_reference(None, p, total)
     point = equations.point(np.array([*p, *motors]))
     forces = equations.belt_forces(point, equations.belt_states(point))
-    # The stretch is determined with the stiffness at the tool's position; its change with the stretch is second order.
+    # The stretch is determined with the stiffness at the tool's position; its change with the stretch is
+    # second order.
     assert [float(f) for f in forces[:2]] == pytest.approx([total[0], total[1]], rel=0.01)
 
 
@@ -180,11 +181,12 @@ def test_a_machine_without_one_drive_per_axis_is_refused(hframe: Machine) -> Non
         motion_formulas(machine, 0.01)
 
 
-# -- Structured Text -----------------------------------------------------------------------------------------------
+# -- Structured Text
+# -----------------------------------------------------------------------------------------------
 
 
 def interpreter(text: str) -> dict[str, Callable[..., Any]]:
-    """Translate Structured Text, as the exporter writes it, to Python functions; blocks return dictionaries."""
+    """Translate Structured Text, as exported, to Python functions; blocks return dictionaries."""
     text = re.sub(r"\(\*.*?\*\)", "", text, flags=re.DOTALL)
     library: dict[str, Any] = {
         "SEL": lambda g, no, yes: yes if g else no,

@@ -1,4 +1,4 @@
-"""The exported FMU is valid and moves like the simulator, to rounding: it has the same equations and integrator."""
+"""The exported FMU is valid and moves like the simulator, to rounding: by its equations and integrator."""
 
 from __future__ import annotations
 
@@ -33,8 +33,10 @@ HEADER = """
 typedef void *fmi3Instance, *fmi3InstanceEnvironment, *fmi3FMUState;
 typedef uint32_t fmi3ValueReference;
 typedef float fmi3Float32; typedef double fmi3Float64; typedef bool fmi3Boolean, fmi3Clock;
-typedef int8_t fmi3Int8; typedef uint8_t fmi3UInt8, fmi3Byte; typedef int16_t fmi3Int16; typedef uint16_t fmi3UInt16;
-typedef int32_t fmi3Int32; typedef uint32_t fmi3UInt32; typedef int64_t fmi3Int64; typedef uint64_t fmi3UInt64;
+typedef int8_t fmi3Int8; typedef uint8_t fmi3UInt8, fmi3Byte;
+typedef int16_t fmi3Int16; typedef uint16_t fmi3UInt16;
+typedef int32_t fmi3Int32; typedef uint32_t fmi3UInt32;
+typedef int64_t fmi3Int64; typedef uint64_t fmi3UInt64;
 typedef char fmi3Char; typedef const fmi3Char *fmi3String; typedef const fmi3Byte *fmi3Binary;
 typedef enum {fmi3OK, fmi3Warning, fmi3Discard, fmi3Error, fmi3Fatal} fmi3Status;
 typedef enum {fmi3Independent, fmi3Constant} fmi3DependencyKind;

@@ -1,4 +1,4 @@
-"""The friction map against formulas of friction, and its standard deviations against those of the parameters."""
+"""The friction map against formulas of friction, and its standard deviations against the parameters'."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from hframe_gym.recordings import load_machine
 
 
 def vibration(shaper: Shaper, frequency: float, damping: float, of_mode: float) -> float:
-    """Return the vibration that a shaped step leaves, over that of a step: Singer and Seering (1990), eq. 6."""
+    """Return the vibration a shaped step leaves, over that of a step: Singer and Seering (1990), eq. 6."""
     times, sizes = impulses(shaper, frequency, damping)
     w = 2.0 * np.pi * of_mode
     phasors = sizes * np.exp((damping * w + 1j * w * np.sqrt(1.0 - damping**2)) * (times - times[-1]))

@@ -22,7 +22,7 @@ def exported(kind: str, machine: Machine, **options: object) -> str:
 
 
 def as_mjcf_describes(machine: Machine) -> Machine:
-    """Return the machine with constant belt stiffness and without dry friction, a soft constraint in MuJoCo."""
+    """Return the machine of constant belt stiffness and without dry friction, a soft constraint in MuJoCo."""
     constant = with_constant_stiffness(machine, {b.name: b.EA / b.rest_length for b in machine.belts})
     return dataclasses.replace(
         constant, coordinates=tuple(dataclasses.replace(c, coulomb=0.0) for c in machine.coordinates)

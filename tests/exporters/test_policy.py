@@ -76,9 +76,9 @@ def test_onnx_gives_the_agents_actions(task: str, tmp_path: Path) -> None:
         return np.asarray(session.run(["action"], inputs)[0])
 
     assert largest_difference(task, contract, evaluate, 64) < 1e-6
-    # For few rows PyTorch sums products in another order. The agent's actions then differ from those of the same
-    # weights in double precision by 7e-6, and from its actions in a large batch by as much, because features of 0.1 mm
-    # are differences of positions in single precision.
+    # For few rows PyTorch sums products in another order. The agent's actions then differ from those of the
+    # same weights in double precision by 7e-6, and from its actions in a large batch by as much, because
+    # features of 0.1 mm are differences of positions in single precision.
     assert largest_difference(task, contract, evaluate, 1) < 1e-5
 
 

@@ -1,4 +1,4 @@
-"""The exported linear model against the simulator, the closed form of an oscillator, and the files of other tools."""
+"""The exported linear model against the simulator, an oscillator's closed form, and other tools' files."""
 
 from __future__ import annotations
 

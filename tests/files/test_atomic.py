@@ -1,4 +1,4 @@
-"""Atomic files and folders: a failed or interrupted write leaves the old output or the new one, and no trace."""
+"""Atomic files and folders: a failed or interrupted write leaves the old or the new output, and no trace."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def test_an_error_in_a_batch_leaves_the_old_output(tmp_path: Path) -> None:
 
 
 def _write_new_until(folder: Path, calls: int) -> int:
-    """Write the new output in a child process that ends at one of its system calls; return the child's exit code."""
+    """Write the new output in a child process that ends at a system call; return its exit code."""
     child = os.fork()
     if child:
         return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
@@ -207,7 +207,7 @@ def test_a_second_process_is_refused_until_the_first_one_is_killed(tmp_path: Pat
 
 
 def leave_stage(path: Path) -> None:
-    """Write what a killed process leaves: a stage with a lock file that nobody has locked, and half a file."""
+    """Write what a killed process leaves: a stage with a lock file that none has locked, and half a file."""
     (path / "new").mkdir(parents=True)
     (path / "lock").touch()
     (path / "new" / "a.txt").write_text("half")

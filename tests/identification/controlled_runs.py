@@ -1,4 +1,4 @@
-"""Runs of a rig that a position controller moves from place to place, one row per period of the controller."""
+"""Runs of a rig that a position controller moves from place to place, one row per controller period."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _OFFSET = 0.3  # of the sensors, in their rounding steps, so that rest is no edg
 
 
 def random_places(rng: np.random.Generator, rows: int) -> Array:
-    """Return where the controller is told to be, m, shape (rows,): at zero, then at a new place each 250 ms."""
+    """Return where the controller is told to be, m, shape (rows,): zero, then a new place each 250 ms."""
     places = np.repeat(rng.uniform(-0.05, 0.05, 1 + rows // _ROWS_AT_A_PLACE), _ROWS_AT_A_PLACE)[:rows]
     places[:_REST_ROWS] = 0.0
     return places

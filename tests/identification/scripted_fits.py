@@ -64,7 +64,7 @@ def runs(names: str) -> Any:
 
 
 class Scripted:
-    """Replaces what the search and the tests of effects compute: forces, gains, variances; neutral by default."""
+    """Replaces what search and effects' tests compute: forces, gains, variances; neutral by default."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.force: dict[str, float] = {}

@@ -22,7 +22,7 @@ PRESLIDING = EFFECTS["presliding"].at("x", s0=3e3, s1=1.0)
 
 
 def axis_recordings(truth: Machine, *, rows: int, volts: float) -> list[Recording]:
-    """Return three runs of an axis at 1 kHz with ten random voltage steps each, the first of them 0 V for 50 ms."""
+    """Return three runs of an axis at 1 kHz with ten random voltage steps each, the first at 0 V (50 ms)."""
     rng = np.random.default_rng(3)
     recordings = []
     for k in range(3):
@@ -61,7 +61,7 @@ def limited_runs(volts: Sequence[float], peak: int | None = None) -> list[Record
 def axis_result(
     data: Dataset, after: Machine, *, gain: float = 0.9, rivals: tuple[AppliedEffect, ...] = (), **fields: Any
 ) -> IdentificationResult:
-    """Return a result with a corrected machine, evaluated on the last run; `fields` replace the default values."""
+    """Return a result with a corrected machine, evaluated on the last run; `fields` replace defaults."""
     held_out = data.with_runs(["run_2"])
     before, last = (
         ModelEvaluation(m, PredictionErrors(channel_errors(m, held_out), force_error(m, held_out)))

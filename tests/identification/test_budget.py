@@ -139,7 +139,7 @@ def test_the_page_states_when_each_stage_ends() -> None:
 
 
 def test_a_stage_has_a_budget_of_its_own() -> None:
-    """It ends with its part of the budget or after the longest time; an interruption of the search does not end it."""
+    """It ends with its part of the budget or after the longest time; interrupting the search does not."""
     spent = [0.0]
     budget = Budget(100.0, clock=lambda: spent[0])
     spent[0] = 40.0
@@ -181,7 +181,7 @@ def test_a_search_ends_early_enough_for_the_tests_of_what_it_found(seconds: floa
 
 
 def test_without_time_to_search_the_machine_has_no_effects() -> None:
-    """The drives' current is limited to 5 A, which no refit explains: the file predicts the held-out run better."""
+    """The drives' current is limited to 5 A, which no refit explains: the file predicts better."""
     lines: list[str] = []
     result = identify(limited_runs([3.0, 3.0, 9.0, 9.0, 3.0]), AXIS, log=lines.append, budget=0.0)
     assert (result.verdict, result.effects) == ("unexplained", ())
@@ -252,7 +252,7 @@ def test_a_search_that_ends_early_leaves_time_to_compare_the_runs(part: float, t
 
 
 def searched_for_drag() -> ModelSearch:
-    """Return a search that has found quadratic drag, with Tustin friction as its rival, and tested nothing yet."""
+    """Return a search that has found quadratic drag, with the rival Tustin friction, and tested nothing."""
     data = axis_runs(AXIS.with_effects(EFFECTS["quadratic_drag"].at("x", c=60.0)), rows=500, volts=6.0)
     search = ModelSearch(AXIS, data, CRITERIA, lambda line: None)
     (drag,) = search.selection[1]
@@ -341,7 +341,7 @@ def test_a_stage_that_must_deliver_ends_its_fits_instead_of_unwinding() -> None:
 
 
 def test_a_plain_fit_without_time_is_delivered_and_says_so() -> None:
-    """Its clock jumps beyond the budget at once: one iteration of one fit is left, which is better than no fit."""
+    """Its clock exceeds the budget at once: one iteration of one fit is left, which is better than no fit."""
     data = axis_runs(AXIS, rows=1000, volts=6.0)
     complete = plain_fit(AXIS, data)
     hurried = plain_fit(AXIS, data, Budget(1.0, clock=Clock()))
@@ -355,7 +355,7 @@ def test_a_plain_fit_without_time_is_delivered_and_says_so() -> None:
 
 
 def test_what_follows_the_last_stage_lets_the_stages_end_earlier() -> None:
-    """A tenth of the budget is left for it in any case, and half of it at most; a later estimate replaces the first."""
+    """A tenth of the budget is always left for it, and half at most; a later estimate replaces the first."""
     spent = [0.0]
     budget = Budget(100.0, clock=lambda: spent[0])
     budget.reserve(8.0)

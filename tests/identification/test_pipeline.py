@@ -1,4 +1,4 @@
-"""Tests of identification on recordings of an independent simulator, with and without an undeclared effect."""
+"""Tests of identification on recordings from another simulator, with and without an undeclared effect."""
 
 from __future__ import annotations
 
@@ -187,7 +187,7 @@ def test_criteria_are_passed_to_the_search_and_written_to_the_report() -> None:
 
 
 def test_an_effect_that_only_the_held_out_run_excites_is_a_hint() -> None:
-    """No other run confirms the effect, and held-out runs select nothing. The peak is too short to tell the run."""
+    """No other run confirms the effect, and held-out runs select nothing. The peak is too short to tell."""
     result = identify(limited_runs([3.0] * 4, peak=3), AXIS)
     assert result.effects == ()
     assert [run.name for run in result.held_out.runs] == ["run_3"]

@@ -1,4 +1,4 @@
-"""Sensors of speeds, accelerations, currents, belt forces and single-turn angles in simulation and identification."""
+"""Sensors of speed, acceleration, current, belt force and single-turn angle, simulated and identified."""
 
 import dataclasses
 
@@ -71,7 +71,7 @@ def stage_machine() -> Machine:
 
 
 def tension_of_left(stage: Stage) -> float:
-    """Return EA s / l of the left belt, N, from the positions of the other simulator: eq. 38 and 42 of the paper."""
+    """Return EA s / l of the left belt, N, from the other simulator: eq. 38 and 42 of the paper."""
     (x, y, phi1, _), rig = stage.position, stage.rig
     extension, length = x + y + rig.pulley_radius_m * phi1, rig.belt_length_m[0] + x + y
     return float(rig.belt_EA_N[0] * extension / length)
@@ -259,7 +259,7 @@ def test_noise_of_each_kind_is_randomized(stage_machine: Machine) -> None:
 
 
 def test_a_controller_estimates_the_state_with_speeds(stage_machine: Machine) -> None:
-    """A tachometer on the carriage makes the estimate of its speed more accurate than encoders and lasers do."""
+    """A tachometer on the carriage makes its estimated speed more accurate than encoders and lasers do."""
 
     def error(machine: Machine) -> float:
         estimator, rng = StateEstimator(machine, 4e-3), np.random.default_rng(0)

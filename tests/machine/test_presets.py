@@ -17,7 +17,7 @@ TIME = np.arange(2001) * 1e-3  # s
 
 
 def step_response(machine: Machine, first: float, second: float, samples: int = 2001) -> np.ndarray:
-    """Return positions and velocities, shape (n, 8 or 20), after a step of both voltages from rest at the origin."""
+    """Return positions and velocities, shape (n, 8 or 20), after a step of both voltages from rest."""
     trajectory = simulate(
         machine, TIME[:samples], np.tile([first, second], (samples, 1)), longest_step=0.1e-3
     )
@@ -43,7 +43,8 @@ def test_mode_frequencies(name: str, modes: list[float]) -> None:
     np.testing.assert_allclose(belt_modes(machine), modes, atol=0.005)
 
 
-# Without the gear ratio, the speed after 0.4 s is not yet the steady one (see test_steady_speed_without_gear_ratio).
+# Without the gear ratio, the speed after 0.4 s is not yet the steady one (see
+# test_steady_speed_without_gear_ratio).
 @pytest.mark.parametrize(
     ("ratio", "volts", "axis", "linear", "nonlinear"),
     [
@@ -92,8 +93,8 @@ def test_linear_8th_and_20th_order_models_move_alike() -> None:
 def test_sensitivity_to_stiffness() -> None:
     """Change belt stiffness as in section V.
 
-    At (-6, -6) V, the left belt at -25 % and the right one at +25 % change y(0.25 s) by -0.02 mm; twice the stiffness
-    of the bottom belt changes x by 0.11 mm.
+    At (-6, -6) V, the left belt at -25 % and the right one at +25 % change y(0.25 s) by -0.02 mm; twice the
+    stiffness of the bottom belt changes x by 0.11 mm.
     """
     machine = BUILTIN_MACHINES["hframe"]()
     base = with_constant_stiffness(machine, STIFFNESS)
@@ -107,7 +108,7 @@ def test_sensitivity_to_stiffness() -> None:
 
 
 def test_table_4_implies_table_1() -> None:
-    """Compute the stiffness of Table 1 from sections, cross section and modulus at the position of Table 1."""
+    """Compute the stiffness of Table 1 from sections, cross section and modulus at that position."""
     machine = BUILTIN_MACHINES["hframe"]()
     x, y = -0.2227, -0.1163
     position = {"x": x, "y": y}

@@ -1,4 +1,4 @@
-"""Ray: a worker that is killed, results equal to those without Ray, and addresses where no cluster answers."""
+"""Ray: a worker that is killed, results equal to those without Ray, and addresses without a cluster."""
 
 from __future__ import annotations
 

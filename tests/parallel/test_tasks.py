@@ -136,7 +136,7 @@ def test_a_missing_ray_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def _idle_ray(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Replace Ray by a module that is not connected: an address is checked before anything of Ray is called."""
+    """Replace Ray by a module that is not connected: an address is checked before Ray is called."""
     monkeypatch.setitem(sys.modules, "ray", SimpleNamespace(is_initialized=lambda: False))
 
 
@@ -213,7 +213,7 @@ def test_seeds_in_processes_are_those_of_single_runs(tmp_path: Path) -> None:
 
 @pytest.mark.integration
 def test_a_folder_of_rigs_becomes_a_folder_of_results(tmp_path: Path) -> None:
-    """One rig is identified, one lacks the held-out run, and the channels of one are not those of the machine."""
+    """One rig is identified, one lacks the held-out run, and one has other channels than the machine."""
     save_machine(AXIS, tmp_path / "axis.json")
     for rig, name in (("good", "run"), ("other", "log")):
         (tmp_path / "rigs" / rig).mkdir(parents=True)

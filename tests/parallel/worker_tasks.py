@@ -37,7 +37,7 @@ def fail(seed: int) -> int:
 
 
 def write_repeatedly(folder: Path, writer: int) -> tuple[int, int]:
-    """Write a file and a batch that other processes write too; return how many were written whole, and refused."""
+    """Write a file and a batch that other processes write too; return how many were written and refused."""
     whole = refused = 0
     for _ in range(100):
         write_text(folder / "same.txt", f"{writer}" * 1000)

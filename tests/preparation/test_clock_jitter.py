@@ -31,7 +31,7 @@ def test_a_vibration_is_no_clock_jitter() -> None:
 
 
 def test_a_jitter_of_more_than_half_a_period_is_none() -> None:
-    """A sensor that keeps each value for four rows deviates from a smooth motion by several periods times the speed."""
+    """A sensor that keeps values for four rows deviates from smooth motion by several periods' travel."""
     time_s = np.arange(2000) * 1e-3
     held = np.sin(8.0 * time_s)[np.arange(2000) // 4 * 4]
     assert clock_jitter([time_s], [held], 1e-5) == 0.0

@@ -79,7 +79,7 @@ def test_runs_are_chosen_by_name_and_all_measurements_return(hframe: Machine) ->
 def test_a_piece_is_left_out_of_the_fit_and_remains_measured(
     hframe: Machine, pieces: int, piece: int, counts: tuple[float, float]
 ) -> None:
-    """Each run has 50 values of each laser, and one of each encoder; at rest, all repeats of it count as one."""
+    """Each run has 50 values of each laser, and one of each encoder; at rest, repeats count as one."""
     outputs = np.tile([0.0, 0.0, 0.01, 0.02], (50, 1))
     data = prepare([resting(outputs, f"run_{i}") for i in range(3)], hframe)
     others, left_out = data.leaving_out(piece, pieces)
@@ -113,7 +113,7 @@ def test_the_repetitions_of_a_slow_sensor_are_not_used_and_named(hframe: Machine
 
 
 def test_typical_scales_of_an_axis() -> None:
-    """The axis moves over 0.2 m at up to 0.5 m/s; its typical force is a tenth of the force at rated voltage."""
+    """The axis moves over 0.2 m at up to 0.5 m/s; its typical force is a tenth of the rated one."""
     axis = BUILTIN_MACHINES["axis"]()
     positions = np.linspace(-0.1, 0.1, 100)[:, None]
     velocities = np.full((100, 1), 0.5)

@@ -22,7 +22,7 @@ PERIOD = 1e-3  # s
 
 
 def run_of(name: str, voltages: np.ndarray) -> Recording:
-    """Return a run of the axis with these voltages, V, shape (n,), at 1 kHz; its encoder counts from 0.3 m."""
+    """Return a run of the axis with voltages, V, shape (n,), at 1 kHz; its encoder counts from 0.3 m."""
     time_s = np.arange(len(voltages)) * PERIOD
     outputs = simulate(AXIS, time_s, voltages[:, None]).outputs
     noise = np.random.default_rng(len(voltages)).normal(0.0, 2e-5, outputs.shape)

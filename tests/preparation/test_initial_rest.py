@@ -20,7 +20,7 @@ COUNT = 25e-6  # m, of an encoder
 
 
 def run(motion: np.ndarray, seed: int = 0, late: int = 0) -> Recording:
-    """Return a noisy run of an axis: a given motion (m) at 1 kHz, then a fast one from row `REST` - `late` on."""
+    """Return a noisy run: a given motion (m) at 1 kHz, then a fast one from row `REST` - `late` on."""
     rng = np.random.default_rng(seed)
     rows = np.arange(ROWS)
     position = np.pad(motion, (0, ROWS - len(motion)), mode="edge")
@@ -91,7 +91,7 @@ def test_a_tachometer_with_a_zero_error_is_at_rest() -> None:
 
 
 def coasting(free_rows: int, speed: float) -> tuple[Machine, Recording]:
-    """Return a motor with a tachometer, and its noisy run at 10 kHz that begins with some rows without voltage."""
+    """Return a motor with a tachometer, and its noisy run at 10 kHz that begins with rows at 0 V."""
     motor = load_machine("motor")
     tachometer = dataclasses.replace(motor.sensors[0], kind="speed", noise=0.0, resolution=0.0)
     motor = motor.replace(sensors=(tachometer,)).replace({"shaft.mass": 50 * motor.coordinates[0].mass})
@@ -182,7 +182,7 @@ def test_a_single_row_at_rest_does_not_add_its_noise_to_all_errors() -> None:
 
 
 def test_a_quantized_sensor_shows_that_a_machine_moves_after_its_only_row_at_rest() -> None:
-    """EMPS begins at 7 mm/s, which a sensor with steps of 50 nm sees in every row; noise of 10 um would hide it."""
+    """EMPS begins at 7 mm/s, which a sensor of 50 nm steps sees in each row; noise of 10 um would hide it."""
     error = np.zeros((1, 300, 1))
     error[0, :, 0] = 7e-6 * np.arange(300)
     zero = sensor_zero_error(error, np.ones((300, 1)), 1, np.array([25e-9]), np.array([50e-9]))
@@ -190,7 +190,7 @@ def test_a_quantized_sensor_shows_that_a_machine_moves_after_its_only_row_at_res
 
 
 def test_a_row_that_a_faster_controller_has_moved_already_is_no_rest(axis: Machine) -> None:
-    """A controller that begins between two rows of a slow log moves the machine before the first voltage in it."""
+    """A controller that begins between two rows of a slow log moves the machine before its first voltage."""
     motion = np.zeros(200)
     motion[50:] = 0.001 + 0.01 * np.arange(150.0) / 150.0
     still = run(motion)

@@ -1,4 +1,4 @@
-"""Tests of a machine's initial state: static equilibrium, effects on measurements, zeros, simulation of recordings."""
+"""Tests of a machine's initial state: equilibrium, effects on measurements, zeros, simulated recordings."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ POSITIONS = np.random.default_rng(8).uniform(-0.1, 0.1, (7, 2)) * [1.0, 0.5]
 
 
 def settled(rig: reference.Rig, position: np.ndarray) -> np.ndarray:
-    """Return where the simulator's stage, put down with unstretched belts and no voltage, comes to rest (4,)."""
+    """Return where the simulator's stage, put down with unstretched belts at 0 V, comes to rest (4,)."""
     time_s = np.linspace(0.0, 1.0, 1001)
     positions, velocities = reference.simulate(rig, time_s, np.zeros((1001, 2)), position)
     assert np.abs(velocities[-1]).max() < 1e-6
@@ -189,7 +189,7 @@ RUNS = {
 
 
 def measured_runs(machine: Machine, zeros: tuple[float, float]) -> list[Recording]:
-    """Return noisy runs of a machine that starts at rest, with encoders that were switched on at given angles."""
+    """Return noisy runs of a machine that starts at rest, with encoders switched on at given angles."""
     rng = np.random.default_rng(5)
     time_s = np.arange(900) * 1e-3
     recordings = []
@@ -203,7 +203,7 @@ def measured_runs(machine: Machine, zeros: tuple[float, float]) -> list[Recordin
 
 
 def simulated_rmse(machine: Machine, recording: Recording) -> np.ndarray:
-    """Return the simulation's errors (sensors,) from the recording's initial state, as in `hframe simulate`."""
+    """Return simulation errors (sensors,) from the recording's initial state, as in `hframe simulate`."""
     initial = initial_state_of_recording(machine, recording)
     trajectory = simulate(machine, recording.time_s, recording.inputs, initial.state, offset=initial.zeros)
     return np.asarray(np.sqrt(np.mean((recording.outputs - trajectory.outputs) ** 2, axis=0)))
@@ -214,7 +214,7 @@ def simulated_rmse(machine: Machine, recording: Recording) -> np.ndarray:
 def test_simulation_of_a_recording_has_the_errors_that_identification_reports(
     hframe: Machine, effect: str, zeros: tuple[float, float]
 ) -> None:
-    """With an identified skew the measurement is not the position; with a range, a run may begin beyond its end."""
+    """With an identified skew a measurement is not the position; with a range, runs may begin beyond."""
     applied = {
         "sensor_skew": EFFECTS["sensor_skew"].at("y_m", a=0.08),
         "sensor_range": EFFECTS["sensor_range"].at("x_m", low=-0.1, high=0.1),

@@ -94,7 +94,7 @@ def test_a_force_that_depends_on_the_position_acts_where_the_encoder_counts() ->
 
 
 def motor_run(kind: str, speed: float) -> tuple[Machine, Recording]:
-    """Return a motor of 50 times its declared inertia and friction, and its run at 865 Hz from an initial speed."""
+    """Return a motor of 50 times its declared inertia and friction, and its run at 865 Hz from a speed."""
     declared = load_machine("motor")
     sensor = dataclasses.replace(declared.sensors[0], kind=kind, noise=0.0, resolution=0.0)
     declared = declared.replace(sensors=(sensor,))
@@ -119,7 +119,7 @@ def test_a_declared_machine_that_is_far_too_light_does_not_hide_the_initial_velo
 
 @pytest.mark.parametrize("speed", [200.0, 100.0])
 def test_a_declared_machine_that_is_far_too_heavy_does_not_hide_a_reversal(speed: float) -> None:
-    """The motor is reversed within the rows from which the velocity is estimated, which the heavy one is not."""
+    """The motor is reversed within the rows from which the velocity is estimated, the heavy one is not."""
     declared = load_machine("motor")
     declared = declared.replace(sensors=(Sensor("shaft_rad_s", {"shaft": 1.0}, noise=0.3, kind="speed"),))
     shaft = declared.coordinates[0]

@@ -56,7 +56,7 @@ def test_encoders_alone_are_assumed_to_count_from_zero_with_a_warning(hframe: Ma
 
 
 def test_a_laser_that_measures_nothing_at_rest_is_replaced_by_its_later_measurements(hframe: Machine) -> None:
-    """The encoders were switched on at an unknown angle; without the later rows the error would be decimeters."""
+    """The encoders were switched on at an unknown angle; without later rows the error would be decimeters."""
     start, zeros = np.array([0.14, -0.03]), np.array([2.0, -5.0])
     path = start + np.outer(np.linspace(0.0, 1.0, 300), [-0.2, 0.05])
     path[:50] = start
@@ -92,7 +92,7 @@ def test_without_a_sensor_of_the_position_the_machine_is_where_its_commands_hold
 
 @pytest.mark.parametrize("first", [0, 4])
 def test_a_slow_encoder_need_not_measure_in_the_last_rows_at_rest(first: int) -> None:
-    """Repeated values of a sensor that the log holds are empty; its only measurement may precede or follow the rest."""
+    """Repeated values that the log holds are empty; a sensor's only one may precede or follow the rest."""
     axis = BUILTIN_MACHINES["axis"]()
     axis = axis.replace(sensors=(dataclasses.replace(axis.sensors[0], kind="encoder"),))
     outputs = np.full((20, 1), np.nan)

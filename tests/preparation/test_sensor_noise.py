@@ -43,7 +43,7 @@ def test_a_sensor_that_never_moves_has_its_declared_resolution() -> None:
 
 
 def test_repeated_measurements_of_a_resting_encoder_count_as_one() -> None:
-    """At rest an encoder repeats one rounding error; in slow motion, and with noise, measurements are independent."""
+    """At rest an encoder repeats one rounding error; in slow motion, and with noise, measurements differ."""
     time_s = np.arange(300) * 1e-3
     moving = QUANTUM * np.concatenate([np.zeros(100), 0.1 * np.arange(100), np.full(100, 9.0)])
     outputs = np.column_stack([np.floor(moving / QUANTUM) * QUANTUM, moving, np.full(300, np.nan)])
@@ -97,7 +97,8 @@ def test_the_steps_of_a_coarse_encoder_in_motion_are_no_noise(speed: float) -> N
     assert sensor_noise(channel, [1], 0.2, 0.0) == pytest.approx(0.2 / np.sqrt(12))
     noisy = [channel[0] + np.random.default_rng(3).normal(0.0, 0.5, 3000)]
     assert sensor_noise(noisy, [1], 0.2, 0.0) == pytest.approx(0.5, rel=0.1)
-    # Noise of half a step is larger than rounding, although third differences of the steps alone may be as large.
+    # Noise of half a step is larger than rounding, although third differences of the steps alone may be as
+    # large.
     motion = speed * np.arange(3000) + 10 * np.sin(np.arange(3000) * 1e-3)
     small = [np.rint(motion + np.random.default_rng(3).normal(0.0, 0.5, 3000)) * 0.2]
     assert sensor_noise(small, [1], 0.2, 0.0) == pytest.approx(0.2 * np.hypot(0.5, 1 / np.sqrt(12)), rel=0.1)

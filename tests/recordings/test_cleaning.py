@@ -27,7 +27,7 @@ def run() -> Recording:
 
 
 def held(values: np.ndarray, rows: int) -> np.ndarray:
-    """Return a channel whose sensor measures only every that many rows; the log repeats its last measurement."""
+    """Return a channel whose sensor measures only every that many rows; the log repeats the last one."""
     return np.asarray(values[np.arange(len(values)) // rows * rows])
 
 
@@ -107,7 +107,7 @@ def test_a_coarse_or_noisy_sensor_is_not_held(speed: float, noise: float, turnin
 
 
 def test_unequal_steps_in_slow_motion_are_no_repetitions() -> None:
-    """The lines of a cheap encoder are not equally far apart; at a low speed, its value changes in few rows."""
+    """A cheap encoder's lines are not equally far apart; at a low speed, its value changes in few rows."""
     lines = np.cumsum(np.random.default_rng(1).uniform(0.8e-3, 1.2e-3, 500))
     motion = 0.05 + 0.04 * np.sin(np.arange(4000) / 600)
     assert repetitions(lines[np.searchsorted(lines, motion)]) == 1.0
@@ -137,7 +137,7 @@ def test_a_current_that_is_constant_at_standstill_and_jumps_with_the_command_is_
 
 
 def test_a_rest_before_a_step_of_the_command_is_not_silent() -> None:
-    """A cylinder creeps by single quantization steps, rests, and is commanded to the other end within one row."""
+    """A cylinder creeps by single quantization steps, rests, and is sent to the other end within one row."""
     time = 0.1 * np.arange(60)
     creep = np.where(np.arange(60) < 20, 1e-3 * np.arange(60), 0.02)
     settling = 0.25 + 0.03 * (1.0 - np.exp(-(np.arange(60) - 30) / 5.0))

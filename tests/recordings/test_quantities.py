@@ -1,4 +1,4 @@
-"""Physical quantities of columns are recognized by unit and name; impossible maps are neither proposed nor accepted."""
+"""Physical quantities of columns are recognized by unit and name; impossible maps are refused."""
 
 from __future__ import annotations
 

@@ -237,7 +237,7 @@ def test_a_run_without_lost_rows_is_returned_unchanged() -> None:
 
 
 def test_a_log_of_events_lacks_no_rows() -> None:
-    """Rows are written as values of several messages arrive, each with its own rate: no step is the period."""
+    """Rows are written as values of several messages arrive, each at its rate: no step is the period."""
     rng = np.random.default_rng(0)
     clocks = [
         np.arange(phase, 20.0, period)
@@ -263,7 +263,7 @@ def test_a_clock_lacks_the_rows_that_were_dropped(kept: float) -> None:
 
 
 def test_filled_gaps_predict_the_motion_better_than_inputs_held_over_the_gap(hframe: Machine) -> None:
-    """Drive the stage by a sine of 20 Hz, drop 3 % of the rows, and compare both simulations with the true motion."""
+    """Drive the stage by a sine of 20 Hz, drop 3 % of rows, and compare both simulations with the truth."""
     time = np.arange(2000) * 1e-3
     inputs = 6 * np.sin(2 * np.pi * 20 * time)[:, None] * [1.0, 0.5] + [2.0, -1.0]
     outputs = hframe.simulate(time, inputs).outputs

@@ -130,7 +130,7 @@ def test_a_recording_is_unwrapped_before_it_is_cleaned(modulus: float, hframe: M
 
 
 def test_a_rounded_quantum_is_determined_exactly() -> None:
-    """A file with six digits states a step of 2 pi / 4096 with an error of 1e-4, thousands of steps with 1e-7."""
+    """A file with six digits states a step of 2 pi / 4096 with an error of 1e-4, thousands by 1e-7."""
     steps = np.random.default_rng(0).integers(0, 4096, 500)
     values = np.round(steps * 2 * math.pi / 4096, 4)
     assert exact_quantum(values, 0.0015) == pytest.approx(2 * math.pi / 4096, rel=1e-5)

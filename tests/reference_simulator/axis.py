@@ -1,7 +1,8 @@
 """Simulate one driven axis with dry friction in steps of 10 us, with what its drive and its sensors do.
 
-It shares no code with `hframe_gym`. The impulse of dry friction in a step is the one, at most h F, that brings the
-speed closest to zero, so that the axis sticks and slides without events. The error is of first order in the step.
+It shares no code with `hframe_gym`. The impulse of dry friction in a step is the one, at most h F, that
+brings the speed closest to zero, so that the axis sticks and slides without events. The error is of first
+order in the step.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ STEP_S = 1e-5
 
 @dataclass(frozen=True)
 class Servo:
-    """A position controller (0: none) around a PI controller of the speed, which stops its integral in saturation.
+    """A position controller (0: none) around a PI speed controller, which stops its integral in saturation.
 
     Attributes:
         position_gain: Commanded speed per error of the position, 1/s; 0 if the command is a speed, rad/s.
@@ -74,7 +75,7 @@ class Stepper:
 
 @dataclass(frozen=True)
 class Gap:
-    """A load behind the gap of a gear; the inertia and friction of the axis are then those before the gap, SI.
+    """A load behind the gap of a gear; the axis's inertia and friction are then those before the gap, SI.
 
     Attributes:
         half: Half the gap, rad.
@@ -93,7 +94,7 @@ class Gap:
     coulomb: float
 
     def torque(self, twist: float, rate: float) -> float:
-        """Return the torque of the teeth on the load, Nm, for a twist, motor minus load, rad, and its rate, rad/s."""
+        """Return the teeth's torque on the load, Nm, for a twist, motor - load, rad, and its rate, rad/s."""
         pressed = abs(twist) - self.half
         if pressed <= 0.0:
             return 0.0

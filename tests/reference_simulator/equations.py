@@ -207,8 +207,8 @@ def _add_belts(
 ) -> None:  # pragma: no cover - compiled
     """Add the belts' forces; write the rates of slip and relaxing tensions.
 
-    A belt of stiffness k(q) = EA / length(q) and extension s(q) stores the energy k G(s). It acts along its row with
-    the tension k G'(s), and with -G dk/dq towards positions where it is more compliant.
+    A belt of stiffness k(q) = EA / length(q) and extension s(q) stores the energy k G(s). It acts along its
+    row with the tension k G'(s), and with -G dk/dq towards positions where it is more compliant.
     """
     coordinates = arrays.coordinates
     transmitted = np.zeros(2)  # by the teeth of the motors' pulleys

@@ -1,8 +1,9 @@
 """Integrate between the events of dry friction by Dormand and Prince's 5(4) pair, compiled.
 
-A coordinate slides until its velocity is zero and sticks until the force on it exceeds the breakaway level. Both events
-are located by a root search over the length of an actual integration step, so no interpolant limits their accuracy.
-Everything else that is not smooth (clamps, gaps, |v|) is continuous, and the step-size control resolves it.
+A coordinate slides until its velocity is zero and sticks until the force on it exceeds the breakaway level.
+Both events are located by a root search over the length of an actual integration step, so no interpolant
+limits their accuracy. Everything else that is not smooth (clamps, gaps, |v|) is continuous, and the step-size
+control resolves it.
 
 References:
     Dormand and Prince (1980), A family of embedded Runge-Kutta formulae, J. Comp. Appl. Math. 6, 19-26.
@@ -29,8 +30,8 @@ _A = np.array(
 )
 _C = np.array([1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0])
 _E = np.array([71 / 57600, 0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])
-# A stuck coordinate is released at this relative excess over its breakaway level, so that its acceleration has the
-# correct sign in spite of the rounding of the event's time.
+# A stuck coordinate is released at this relative excess over its breakaway level, so that its acceleration
+# has the correct sign in spite of the rounding of the event's time.
 RELEASE = 1e-9
 _MAX_STEP_S = 0.5e-3  # events are looked for at the end of a step and at three points inside it
 _TIME_TOLERANCE_S = 1e-12  # two times closer than this are the same
@@ -52,8 +53,8 @@ def _step(
 ) -> None:  # pragma: no cover - compiled
     """Take one step of length h from z to `end`.
 
-    The first row of slopes (7, len(z)) must be filled; the other rows are computed. Afterwards force and level (n,) are
-    those at the end of the step.
+    The first row of slopes (7, len(z)) must be filled; the other rows are computed. Afterwards force and
+    level (n,) are those at the end of the step.
     """
     for stage in range(6):
         for k in range(len(z)):
@@ -82,7 +83,7 @@ def _error(
 def _margin(
     i: int, n: int, z: Array, mode: Array, force: Array, level: Array
 ) -> float:  # pragma: no cover - compiled
-    """Return the margin of coordinate i before its mode ends: its speed, or its force below the breakaway level."""
+    """Return coordinate i's margin before its mode ends: its speed, or its force below breakaway."""
     if mode[i] != 0.0:
         return mode[i] * z[n + i]
     return level[i] * (1.0 + RELEASE) - abs(force[i])
@@ -122,7 +123,7 @@ def _update_modes_at_rest(
     force: Array,
     level: Array,
 ) -> None:  # pragma: no cover - compiled
-    """Set the modes of the coordinates at zero velocity, because the force may have jumped with the voltage."""
+    """Set the modes of the coordinates at zero velocity, as the force may have jumped with the voltage."""
     n = len(mode)
     derivative(t, z, volts, mode, arrays, dz, force, level)
     for i in range(n):
@@ -240,7 +241,7 @@ def _event_step(
     level: Array,
     end: Array,
 ) -> float:  # pragma: no cover - compiled
-    """Return the length of the step at whose end the margin of coordinate i is zero, by regula falsi (Illinois)."""
+    """Return the length of the step that ends at coordinate i's zero margin, by regula falsi (Illinois)."""
     n = len(mode)
     low, f_low, high = 0.0, start_margin, longest
     _step(t, z, high, volts, mode, arrays, slopes, force, level, end)

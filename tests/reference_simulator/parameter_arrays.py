@@ -19,7 +19,8 @@ def _fields(length: int) -> list[str]:
     return [name for name, value in _DEFAULTS.items() if isinstance(value, tuple) and len(value) == length]
 
 
-# Fields of Rig by what they describe. Bodies beyond the four coordinates get zeros except for what they are made of.
+# Fields of Rig by what they describe. Bodies beyond the four coordinates get zeros except for what they are
+# made of.
 _OF_COORDINATE, _OF_DRIVE = _fields(4), _fields(2)
 _OF_STAGE = [name for name, value in _DEFAULTS.items() if isinstance(value, int | float)]
 _DIVISORS = dict.fromkeys(
@@ -48,9 +49,9 @@ LINK = np.dtype(
 STAGE = np.dtype(
     [(name, "f8") for name in [*_OF_STAGE, "frame_w", "frame_zeta", "frame_ratio", "frame_ground"]]
 )
-# The nine belt sections of the 20th-order stage: lengths at x = y = 0, m (the paper's Table 4), the gradient of the
-# lengths with respect to x and y, and the extension rows over x, y and the travel of eight pulleys (eq. 25-34, with
-# signs that make K symmetric).
+# The nine belt sections of the 20th-order stage: lengths at x = y = 0, m (the paper's Table 4), the gradient
+# of the lengths with respect to x and y, and the extension rows over x, y and the travel of eight pulleys
+# (eq. 25-34, with signs that make K symmetric).
 _SECTIONS = (0.781, 0.781, 0.3334, 0.3334, 0.3334, 0.3334, 0.281, 0.281, 0.6159)
 _SECTION_GRADIENT = ((0, 0), (0, 0), (-1, 0), (-1, 0), (1, 0), (1, 0), (0, 1), (0, -1), (0, 0))
 _SECTION_ROWS = (
@@ -79,7 +80,7 @@ class ParameterArrays(NamedTuple):
 
 
 class MeasuredCoordinates(NamedTuple):
-    """Indices of the coordinates that the sensors measure: of the encoders, and of the bridge's yaw (-1: none)."""
+    """Indices of coordinates that sensors measure: of the encoders, and of the bridge's yaw (-1: none)."""
 
     encoders: tuple[int, int]
     yaw: int
@@ -170,7 +171,7 @@ def _check(rig: Rig) -> None:
 
 
 def _separate_idlers(rig: Rig, coordinates: list[Any]) -> None:
-    """Undo the lumping of eq. 4-8, which adds idlers to motors and cart: half of a motor's values is its idler's."""
+    """Undo the lumping of eq. 4-8, of idlers with motors and cart: half of a motor's is its idler's."""
     for name in ("mass", "viscous"):
         for i in (2, 3):
             coordinates[i][name] *= 0.5
@@ -202,7 +203,7 @@ def _stage(rig: Rig) -> NDArray[Any]:
 
 
 def _belts(rig: Rig, count: int) -> tuple[Array, Array, Array]:
-    """Return EA, length, damping factor (belts, 3), length gradient (belts, 2), rows over travel (belts, count)."""
+    """Return EA, length, damping factor (belts, 3), length gradient (belts, 2), rows by travel (belts, n)."""
     if rig.idlers:
         lengths, gradient = np.array(_SECTIONS), np.array(_SECTION_GRADIENT, float)
         section_rows = np.array(_SECTION_ROWS, float)

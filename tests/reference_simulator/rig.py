@@ -44,9 +44,10 @@ class Payload:
 class Frame:
     """Heavy frame on soft feet, which the acceleration of the bridge excites along x.
 
-    f'' = -w^2 f - 2 zeta w f' - ratio x'', with w = 2 pi hertz. The laser is mounted beside the frame, so it measures
-    x + f. The frame's motion does not act back on the much lighter stage. Of the friction on the bridge, the frame does
-    not bear the fraction `ground_friction`: x'' above is x'' + ground_friction * friction / mass.
+    f'' = -w^2 f - 2 zeta w f' - ratio x'', with w = 2 pi hertz. The laser is mounted beside the frame, so it
+    measures x + f. The frame's motion does not act back on the much lighter stage. Of the friction on the
+    bridge, the frame does not bear the fraction `ground_friction`: x'' above is x'' + ground_friction *
+    friction / mass.
     """
 
     hertz: float = 11.0
@@ -59,10 +60,10 @@ class Frame:
 class Rig:
     """Parameters of one H-frame stage.
 
-    The defaults are the paper's nonlinear model with gear ratio 5.9 and without any undeclared effect. Tuples of four
-    are in the order of `COORDINATES`, SI units: forces on x and y in N, torques on phi1 and phi2 in Nm. Tuples of two
-    are per drive, tuples of three per belt (left, right, bottom). An effect is off where its amplitude is zero or its
-    limit infinite.
+    The defaults are the paper's nonlinear model with gear ratio 5.9 and without any undeclared effect. Tuples
+    of four are in the order of `COORDINATES`, SI units: forces on x and y in N, torques on phi1 and phi2 in
+    Nm. Tuples of two are per drive, tuples of three per belt (left, right, bottom). An effect is off where
+    its amplitude is zero or its limit infinite.
     """
 
     mass: PerCoordinate = (4.07, 1.0412, 1.12e-4, 1.12e-4)  # kg, kg, kg m^2, kg m^2
@@ -86,7 +87,8 @@ class Rig:
     friction_wavelength: PerCoordinate = (0.1, 0.1, 2.0, 2.0)  # L, m and rad
     friction_phase: PerCoordinate = OFF  # p, rad
     friction_slope: PerCoordinate = OFF  # N/m, Nm/rad
-    # Friction per unit of the other coordinate of the pair (x with y, phi1 with phi2): of its position, of its speed.
+    # Friction per unit of the other coordinate of the pair (x with y, phi1 with phi2): of its position, of
+    # its speed.
     friction_cross_position: PerCoordinate = OFF
     friction_cross_speed: PerCoordinate = OFF
     friction_cold: PerCoordinate = OFF  # a in F (1 + a exp(-t/tau)), t on the session's clock
@@ -94,12 +96,14 @@ class Rig:
     friction_stale: PerCoordinate = OFF
     friction_stale_path: PerCoordinate = (0.1, 0.1, 5.0, 5.0)  # d, m and rad
     warm_up_s: float = 40.0  # tau
-    # a in F (1 + a ln(1 + age/tau)), age' = 1 - |v| age/D: contacts that rest grow stronger (Dieterich and Ruina).
+    # a in F (1 + a ln(1 + age/tau)), age' = 1 - |v| age/D: contacts that rest grow stronger (Dieterich and
+    # Ruina).
     friction_age: PerCoordinate = OFF
     friction_age_s: PerCoordinate = (0.02, 0.02, 0.02, 0.02)  # tau
     friction_age_path: PerCoordinate = (3e-4, 3e-4, 0.015, 0.015)  # D, m and rad
     friction_per_run: float = 0.0  # relative increase of every Coulomb level from one run to the next
-    # Presliding (LuGre; Dahl without damping and Stribeck): z' = v - s0 |v| z / F(v), friction force s0 z + s1 z'.
+    # Presliding (LuGre; Dahl without damping and Stribeck): z' = v - s0 |v| z / F(v), friction force s0 z +
+    # s1 z'.
     bristle_stiffness: PerCoordinate = OFF  # s0, N/m and Nm/rad; 0: rigid friction
     bristle_damping: PerCoordinate = OFF  # s1
     # Hysteresis of a cable chain (Bouc-Wen, n = 2): z' = v - (|v| |z| z + v z^2) / (2 Z^2), force -F z/Z.
@@ -132,8 +136,8 @@ class Rig:
     catch_position: PerCoordinate = OFF  # q0
     catch_width: PerCoordinate = (0.01, 0.01, 0.5, 0.5)  # w
 
-    # Drives: V' = D(g V) + V0 with the dead band D(u) = u - sign(u) Vd outside, 0 inside; the current (V' - e)/R is
-    # lagged by tau and limited.
+    # Drives: V' = D(g V) + V0 with the dead band D(u) = u - sign(u) Vd outside, 0 inside; the current (V' -
+    # e)/R is lagged by tau and limited.
     drive_gain: PerDrive = (1.0, 1.0)  # g
     voltage_offset_V: PerDrive = (0.0, 0.0)  # V0
     dead_band_V: PerDrive = (0.0, 0.0)  # Vd
@@ -155,8 +159,8 @@ class Rig:
     torque_saturation_A: PerDrive = (INF, INF)  # I in torque / (1 + (i/I)^2): the iron saturates
     dead_time_V: PerDrive = (0.0, 0.0)  # voltage that a bridge loses against the direction of the current
     dead_time_A: PerDrive = (0.2, 0.2)  # current below which it loses proportionally less
-    # A supply of `supply_V` with inner resistance and, with the capacitor behind it, a time constant. The bridges draw
-    # i V/supply_V from it, and every voltage falls with it.
+    # A supply of `supply_V` with inner resistance and, with the capacitor behind it, a time constant. The
+    # bridges draw i V/supply_V from it, and every voltage falls with it.
     supply_V: float = 12.0
     supply_ohm: float = 0.0
     supply_s: float = 0.005

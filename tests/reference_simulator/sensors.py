@@ -40,8 +40,8 @@ class Sensors:
     def ideal(self, time_s: Array, positions: Array, velocities: Array) -> Array:
         """Return the measurements without noise and quantization.
 
-        A delayed measurement is interpolated by cubic Hermite splines through the rows; where the acceleration jumps
-        the interpolation is exact to 1 um.
+        A delayed measurement is interpolated by cubic Hermite splines through the rows; where the
+        acceleration jumps the interpolation is exact to 1 um.
 
         Args:
             time_s: Sample times, s, shape (n,).

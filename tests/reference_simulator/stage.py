@@ -21,7 +21,8 @@ class Stage:
     Attributes:
         rig: Parameters of the stage.
         time_s: Present time, s.
-        mode: Modes of dry friction, shape (n,): 0 while a coordinate sticks, otherwise its direction of sliding.
+        mode: Modes of dry friction, shape (n,): 0 while a coordinate sticks, otherwise its direction of
+            sliding.
 
     Args:
         rig: Parameters of the stage.
@@ -75,7 +76,7 @@ class Stage:
         return q
 
     def _measure(self, offset: int) -> Array:
-        """Return x, y, phi1, phi2 as the sensors measure them (offset 0), or their rates (offset n), shape (4,)."""
+        """Return x, y, phi1, phi2 as sensors measure (offset 0), or their rates (offset n), shape (4,)."""
         n, z = self._n, self._z
         measured = z[
             [offset, offset + 1, offset + self._measured.encoders[0], offset + self._measured.encoders[1]]
@@ -103,7 +104,7 @@ class Stage:
 
     @property
     def acceleration(self) -> Array:
-        """Return the accelerations of x, y, phi1, phi2 just before the next command, m/s^2 and rad/s^2, shape (4,)."""
+        """Return accelerations of x, y, phi1, phi2 before the next command, m/s^2 and rad/s^2, shape (4,)."""
         dz, force, level = np.empty_like(self._z), np.empty(self._n), np.empty(self._n)
         derivative(self.time_s, self._z, self._volts, self.mode, self._arrays, dz, force, level)
         return dz[self._n : self._n + 4]
@@ -177,8 +178,8 @@ def simulate(
     Args:
         rig: Parameters of the stage.
         time_s: Sample times, s, strictly increasing, shape (n,). Effects that depend on time use this clock.
-        inputs: Voltages of motor 1 and 2, V, each held from its row until the next, shape (n, 2). With an input delay
-            the drives receive 0 V until the first row arrives.
+        inputs: Voltages of motor 1 and 2, V, each held from its row until the next, shape (n, 2). With an
+            input delay the drives receive 0 V until the first row arrives.
         start_xy: Position of the carriage at the first row, m, shape (2,).
         rtol: Relative tolerance of the integrator. The default is the oracle's.
         atol: Absolute tolerance of the integrator, SI. The default is the oracle's.

@@ -37,7 +37,7 @@ def _potential(rig, q):
 
 
 def _regularized(rig, time_s, inputs, start_xy, creep, method="LSODA"):
-    """Return positions (n, 4) by an implicit method with friction that is smoothed over a speed of `creep`, m/s.
+    """Return positions (n, 4) by an implicit method with friction smoothed over a speed of `creep`, m/s.
 
     The forces are the complex-step gradient of the potential, so that no code is shared with the simulator.
     """

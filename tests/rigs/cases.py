@@ -1,7 +1,7 @@
 """List the rigs of the identification benchmark, and record them.
 
     python -m tests.rigs.cases                              # list the rigs
-    python -m tests.rigs.cases NAME... --out DIR [--jobs N] # record them: DIR/NAME/runs/*.csv.gz, machine.json, ...
+    python -m tests.rigs.cases NAME... --out DIR [--jobs N] # record DIR/NAME/runs/*.csv.gz, machine.json, ...
 
 NAME is the name of a rig or of a set. Every parameter of a rig differs from the declared one by 5 to 20 %,
 independently of the others; the seed is a checksum of the rig's name.
@@ -173,8 +173,8 @@ FOUR_RUNS = (
 def _outside() -> dict[str, tuple[tuple[str, ...], Build]]:
     """Return effects that the library lacked when the set was made, by name: accepted labels, and the build.
 
-    `unexplained` is accepted as well. A table (`smooth_force`, `smooth_friction`) names the variable on which a force
-    or a friction level depends. Effects with memory or an additional resonance have no such table.
+    `unexplained` is accepted as well. A table (`smooth_force`, `smooth_friction`) names the variable on which
+    a force or a friction level depends. Effects with memory or an additional resonance have no such table.
     """
     x, y = (partial(change_site, sites=COORDINATES, site=site) for site in "xy")
     motor = partial(change_site, sites=MOTORS)

@@ -11,7 +11,8 @@ from tests.euler_simulator import parameter_table
 from tests.euler_simulator.dynamics import FIELDS
 from tests.reference_simulator import Array, Rig
 
-# Fields of a rig that the Euler simulator has in another form. One that is neither here nor in `FIELDS` it lacks.
+# Fields of a rig that the Euler simulator has in another form. One that is neither here nor in `FIELDS` it
+# lacks.
 _CONVERTED = (
     "belt_damping_factor",
     "belt_energy_force",

@@ -1,10 +1,11 @@
 """Generate the voltage histories of an identification session by playing them on a reference stage.
 
-A run is a sequence of moves of 0.3 to 0.8 s. In open loop these are steps, square waves, slow ramps through zero
-velocity, chirps and multi-sines. In closed loop a proportional position controller with dither, on the encoders,
-follows slow triangles or fast point-to-point moves. Each move drives x, y or both. As an operator would, the generator
-watches the travel: near the end of an axis it replaces the move by a drive back to the middle. Therefore a history
-depends on the stage on which it is played. The recorded inputs are the voltages, as on a real rig.
+A run is a sequence of moves of 0.3 to 0.8 s. In open loop these are steps, square waves, slow ramps through
+zero velocity, chirps and multi-sines. In closed loop a proportional position controller with dither, on the
+encoders, follows slow triangles or fast point-to-point moves. Each move drives x, y or both. As an operator
+would, the generator watches the travel: near the end of an axis it replaces the move by a drive back to the
+middle. Therefore a history depends on the stage on which it is played. The recorded inputs are the voltages,
+as on a real rig.
 """
 
 from __future__ import annotations
@@ -44,12 +45,13 @@ class ExcitationRun:
     velocities: Array
 
 
-# A move maps the time since its start, s, and the measured position of the axis, m, to the voltage of the axis, V.
+# A move maps the time since its start, s, and the measured position of the axis, m, to the voltage of the
+# axis, V.
 Move = Callable[[float, float], float]
 
 
 def _open_move(kind: str, rng: np.random.Generator, length_s: float, toward: float) -> Move:
-    """Return an open-loop move of an axis; `toward` is the sign of the direction to the middle of the travel."""
+    """Return an open-loop move of an axis; `toward` is the sign of the way to the middle of the travel."""
     if kind == "step":
         level = toward * rng.uniform(1.0, MAX_VOLTAGE_V)
         pulse = min(length_s, rng.uniform(0.06, 0.14) * MAX_VOLTAGE_V / abs(level))
@@ -151,7 +153,7 @@ def _play(
     closed: bool,
     rng: np.random.Generator,
 ) -> ExcitationRun:
-    """Play one run on a stage at rest: choose moves, keep the carriage within the travel, record the motion."""
+    """Play a run on a stage at rest: choose moves, keep the carriage in the travel, record the motion."""
     rows, r = len(time_s), stage.rig.pulley_radius_m
     limits = np.array([LIMIT_X_M, LIMIT_Y_M])
     inputs, states = np.zeros((rows, 2)), np.empty((rows, 8))

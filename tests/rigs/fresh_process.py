@@ -13,7 +13,8 @@ Result = TypeVar("Result")
 def in_fresh_process(function: Callable[..., Result], *arguments: object) -> Result:
     """Call a function in a new process, as a user does who runs the next command.
 
-    A search compiles simulation code that several candidates share; a test in its process would not see an error in it.
+    A search compiles simulation code that several candidates share; a test in its process would not see an
+    error in it.
 
     Args:
         function: Function of a module, which the process can import.

@@ -1,4 +1,4 @@
-"""Define the effects that the rigs hide: what each changes, its size, and the names an identification may give it."""
+"""Define the effects that the rigs hide: what each changes, its size, and names that identify it."""
 
 from __future__ import annotations
 
@@ -28,10 +28,11 @@ class HiddenEffect:
         build: Function that adds the effect to a rig and its sensors.
         accepted: Labels that identify this effect correctly.
         parameters: The effect's parameters by the library's names, SI.
-        scale_with_gain: Names of the parameters that are forces. From voltages only their ratio to the motors' gain is
-            identifiable.
+        scale_with_gain: Names of the parameters that are forces. From voltages only their ratio to the
+            motors' gain is identifiable.
         tolerated: Labels that are acceptable in addition to an accepted one.
-        absorbed: Whether refitting the declared parameters can explain the effect, so that naming none is correct too.
+        absorbed: Whether refitting the declared parameters can explain the effect, so that naming none is
+            correct too.
     """
 
     label: str
@@ -44,7 +45,7 @@ class HiddenEffect:
 
 
 def random_rig(rng: np.random.Generator) -> Rig:
-    """Return the declared stage with every parameter changed by 5 to 20 %, up or down; all belts have the same EA.
+    """Return the declared stage with every parameter changed by 5 to 20 %, up or down; all belts have one EA.
 
     Args:
         rng: Source of the changes.
@@ -83,7 +84,8 @@ def change_site(
     Args:
         rig: Stage to change.
         sensors: Sensors to change.
-        sites: Names of the fields' entries: coordinates, motors or channels. With channels the fields are the sensors'.
+        sites: Names of the fields' entries: coordinates, motors or channels. With channels the fields are the
+            sensors'.
         site: Entry to change.
         **values: New value of the entry by field.
 
@@ -150,7 +152,7 @@ def stall_tension(rig: Rig) -> float:
 
 
 def limit_current(rig: Rig, sensors: Sensors, *, site: str, fraction: float) -> tuple[Rig, Sensors]:
-    """Limit the current to a fraction of the motor's stall current, so that every rig reaches it equally often.
+    """Limit the current to a fraction of the motor's stall current, so that all rigs reach it equally often.
 
     Args:
         rig: Stage to change.

@@ -1,8 +1,9 @@
 """Let a position controller follow machine programs on a simulated stage, as real machines are recorded.
 
-Programs: point-to-point moves with dwells, a rectangle, circles, jogs of one axis, and picks: two stations in turn, at
-each of which y goes down, waits and goes up. The controller reads the motors' encoders once per row; its voltages
-saturate and pass a 12-bit converter. The commanded voltage is therefore correlated with whatever disturbs the motion.
+Programs: point-to-point moves with dwells, a rectangle, circles, jogs of one axis, and picks: two stations in
+turn, at each of which y goes down, waits and goes up. The controller reads the motors' encoders once per row;
+its voltages saturate and pass a 12-bit converter. The commanded voltage is therefore correlated with whatever
+disturbs the motion.
 """
 
 from __future__ import annotations
@@ -26,12 +27,13 @@ _VOLTS_PER_SPEED = 8.0  # V s/m, about the back-EMF and the viscous friction of 
 
 @dataclass(frozen=True)
 class Controller:
-    """Controller of x and y with the same gains, from the errors of position and speed to the voltage of the axis.
+    """Controller of x and y with the same gains, from errors of position and speed to the axis's voltage.
 
     Attributes:
         proportional: Gain of the position error, V/m.
         derivative: Gain of the speed error, Vs/m.
-        integral: Gain of the integrated position error, V/(ms); it does not integrate while a voltage saturates.
+        integral: Gain of the integrated position error, V/(ms); it does not integrate while a voltage
+            saturates.
         feedforward: Gain of the reference's speed, Vs/m.
         filter_fraction: Fraction by which the measured speed follows the differences of two rows, in a row.
     """
@@ -135,7 +137,8 @@ def follow(
         kind: One of `PROGRAMS`, or `PICKS`.
         time_s: Nominal sample times, s, shape (n,).
         rng: Source of program and controller.
-        clock: Function that returns the actual sample times, s, of the nominal ones. Default: the nominal ones.
+        clock: Function that returns the actual sample times, s, of the nominal ones. Default: the nominal
+            ones.
         controller: The controller. Default: drawn by `draw_controller`.
         gains: Factors of the voltages that the drives receive; the recording does not know them.
 

@@ -1,18 +1,18 @@
-"""Draw effects that real machines have: where each acts, on what it depends, which effects of the library are near it.
+"""Draw effects that real machines have: where each acts, on what it depends, similar library effects.
 
 The library lacks them, apart from those of `IN_LIBRARY`.
 
 | family | what acts | drawn size |
 |---|---|---|
-| torque saturation | torque constant falls with current, Kt / (1 + (i/I)^2) | 10 to 40 % of the torque at 8 A |
+| torque saturation | torque constant falls with current, Kt / (1 + (i/I)^2) | 10 to 40 % of it at 8 A |
 | supply sag | inner resistance of the supply that both bridges share | 6 to 20 % of 12 V at 6 A |
 | winding heat | resistance rises with the heat of i^2 | 5 to 20 % at 2 A, within 1 to 4 s |
-| gear backlash | gap between the rotor, which the encoder measures, and the pulley | 1.5 to 6 mrad of half gap |
+| gear backlash | gap between the rotor, with the encoder, and the pulley | 1.5 to 6 mrad of half gap |
 | dwell friction | dry friction a ln(1 + age/tau) of the contact | 10 to 40 % of the level per e-fold of age |
 | belt mesh | teeth of the belt, force grows with the tension | 0.6 to 2.5 N, pitch 2, 3 or 5 mm |
 | payload swing | pendulum below the cart, which moves along y | 10 to 30 % of the cart's mass, 4 to 20 cm |
 | belt relaxation | spring and damper in series beside every belt | 15 to 50 % of the stiffness, 5 to 50 ms |
-| scale interpolation | error of a laser that is periodic in the position | 3 to 15 times the noise, 2 to 20 mm |
+| scale interpolation | periodic error of a laser over the position | 3 to 15 times the noise, 2 to 20 mm |
 | bent scale | quadratic error of a laser | 0.3 to 2 mm at 150 mm |
 | eccentric encoder | error once per turn of pulley or motor | 4 to 20 mrad |
 | clock drift | the sampling clock changes its rate during a run | 1 to 4 % from the first row to the last |
@@ -55,8 +55,8 @@ class OutsideEffect:
         build: Function that adds it to a rig and its sensors.
         components: Components at which a hint is right: `site` and what moves or measures only with it.
         variables: Patterns (fnmatch) of the variables on which it depends.
-        neighbors: Patterns (fnmatch) of effect labels, name@site, that are near it in kind: same component, and same
-            variable or same mechanism. To name one is acceptable while it leaves little.
+        neighbors: Patterns (fnmatch) of effect labels, name@site, that are near it in kind: same component,
+            and same variable or same mechanism. To name one is acceptable while it leaves little.
         drift: Change of the clock's rate from the first row to the last of a run.
     """
 

@@ -3,9 +3,9 @@
     python -m tests.rigs.outside_rigs --seed 1                     # what these rigs hide
     python -m tests.rigs.outside_rigs --seed 1 --only 0 --out DIR  # record: DIR/1_00/runs, unseen, truth.json
 
-A rig follows from a seed and an index. Every family that the library lacks occurs once before one occurs again, in
-random order; rigs with an even and an odd index are recorded in open and in closed loop. Every parameter differs from
-the declared machine by 5 to 15 %. The stage is that of the reference simulator.
+A rig follows from a seed and an index. Every family that the library lacks occurs once before one occurs
+again, in random order; rigs with an even and an odd index are recorded in open and in closed loop. Every
+parameter differs from the declared machine by 5 to 15 %. The stage is that of the reference simulator.
 """
 
 from __future__ import annotations

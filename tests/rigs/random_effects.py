@@ -1,7 +1,7 @@
-"""Draw hidden effects at random: family, site, size and shape, with the library's parameters of the same effect.
+"""Draw hidden effects at random: family, site, size and shape, with the library's parameters of it.
 
-The size is a fraction of the full size, log-uniform from 3 % to 100 %. Full sizes (x; y; phi1 and phi2 where it
-depends on the coordinate), what a used machine may plausibly have:
+The size is a fraction of the full size, log-uniform from 3 % to 100 %. Full sizes (x; y; phi1 and phi2 where
+it depends on the coordinate), what a used machine may plausibly have:
 
 | effect | full size |
 |---|---|
@@ -108,10 +108,11 @@ class DrawnEffect:
         size: Fraction of the full size.
         build: Function that adds the effect to a rig and its sensors.
         parameters: The effect's parameters by the library's names, SI; empty outside the library.
-        scales_with: By name of the parameter, how its identified value depends on the motors' gains, which voltages
-            do not determine: "force" or "current".
+        scales_with: By name of the parameter, how its identified value depends on the motors' gains, which
+            voltages do not determine: "force" or "current".
         accepted: Labels that identify an effect outside the library; "" for the verdict "unexplained".
-        absorbed: Whether refitting the declared parameters explains the effect, so that naming none is correct too.
+        absorbed: Whether refitting the declared parameters explains the effect, so that naming none is
+            correct too.
         off_form: How the effect differs from the library's form; empty if it does not.
         tables: Labels of tables that describe such an effect completely, so that they identify it as well.
     """

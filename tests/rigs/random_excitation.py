@@ -1,9 +1,9 @@
 """Play identification runs of several kinds on a simulated stage, and choose how they start.
 
 Kinds of excitation: steps; steps of one motor only; slow triangles; multisines; random telegraph signals;
-point-to-point moves under a PD controller on the encoders. Kinds of start: at rest in the center; at rest elsewhere;
-after a jog of one or both motors, which leaves the belts stretched by what friction holds. Near the end of the travel
-the stage is driven back.
+point-to-point moves under a PD controller on the encoders. Kinds of start: at rest in the center; at rest
+elsewhere; after a jog of one or both motors, which leaves the belts stretched by what friction holds. Near
+the end of the travel the stage is driven back.
 """
 
 from __future__ import annotations

@@ -1,17 +1,19 @@
 """Draw rigs at random, with the truth about them, and record them on one of two independent simulators.
 
     python -m tests.rigs.random_rigs --seed 1 --only 0 1 2              # what these rigs hide
-    python -m tests.rigs.random_rigs --seed 1 --only 0 --out DIR        # record: DIR/1_0000/runs, unseen, truth.json
-    python -m tests.rigs.random_rigs --seed 1 --closed-loop             # the same rigs under a position controller
+    python -m tests.rigs.random_rigs --seed 1 --only 0 --out DIR        # DIR/1_0000/runs, unseen, truth.json
+    python -m tests.rigs.random_rigs --seed 1 --closed-loop             # the same under a controller
 
-A rig follows from a seed and an index alone. A quarter hides nothing; 8 % hide an effect outside the library and 8 %
-one or two effects that are 10 to 20 % off the library's form; the others hide one to three effects of the library, of
-log-uniform size (`random_effects`). Every parameter differs from the declared machine by 5 to 20 %. Half of the rigs
-without effects or with library effects have a residue: a small error that no effect of the library is.
+A rig follows from a seed and an index alone. A quarter hides nothing; 8 % hide an effect outside the library
+and 8 % one or two effects that are 10 to 20 % off the library's form; the others hide one to three effects of
+the library, of log-uniform size (`random_effects`). Every parameter differs from the declared machine by
+5 to 20 %. Half of the rigs without effects or with library effects have a residue: a small error that no
+effect of the library is.
 
-In closed loop, a position controller follows machine programs (`machine_programs`) with a period of 0.5 to 2 ms, and
-the log has every n-th of its rows, 100 Hz to 1 kHz. In half of these rigs the period jitters; the stamps say so. The
-unseen runs judge the answer, whatever the log: they have every row of the controller, and most are in open loop.
+In closed loop, a position controller follows machine programs (`machine_programs`) with a period of
+0.5 to 2 ms, and the log has every n-th of its rows, 100 Hz to 1 kHz. In half of these rigs the period
+jitters; the stamps say so. The unseen runs judge the answer, whatever the log: they have every row of the
+controller, and most are in open loop.
 """
 
 from __future__ import annotations
@@ -60,8 +62,10 @@ class Residue:
         note: The error in words, with its size.
         euler_step_s: Step of the Euler simulator, s; None: its default.
         energy_force: Whether the belts push with 1/2 s^2 dk/dq.
-        hysteresis: Site (coordinate), force, N or Nm, and travel, m or rad, of a hysteresis; None: there is none.
-        colored: Channel, standard deviation, m, and time constant, s, of an additional noise; None: there is none.
+        hysteresis: Site (coordinate), force, N or Nm, and travel, m or rad, of a hysteresis; None: there is
+            none.
+        colored: Channel, standard deviation, m, and time constant, s, of an additional noise; None: there is
+            none.
         jitter_s: Standard deviation of the clock, s.
         bad_gain: Factor of both drives in the bad run; None: it is correct.
         glitch_m: Error of one row of one laser in the bad run, m; None: there is none.
@@ -107,7 +111,8 @@ class RandomRig:
     Attributes:
         seed: Seed of the set of rigs.
         index: Number of the rig in the set.
-        kind: What it hides: effects of the library, nothing, an effect outside the library, or effects off its form.
+        kind: What it hides: effects of the library, nothing, an effect outside the library, or effects off
+            its form.
         simulator: Simulator that plays it.
         hidden_effects: The effects.
         residue: The residue.
@@ -217,7 +222,7 @@ class RandomRig:
     def _play(
         self, kind: str, clock: float, fraction: float, gain: float, rng: np.random.Generator, *, logged: bool
     ) -> Played:
-        """Play a run from a time of the session's clock, s, on; in closed loop with every row of the controller."""
+        """Play a run from a time of the session's clock, s, on; in closed loop with all controller rows."""
         loop, start = self.closed_loop, str(rng.choice(STARTS))
         place = draw_start(start, rng, fraction)
         rate_hz = round(1.0 / loop.period_s) if loop else self.rate_hz
@@ -237,7 +242,7 @@ class RandomRig:
         return dataclasses.replace(run, time_s=stamps)
 
     def _measured(self, ideal: Array, time_s: Array, rng: np.random.Generator, *, glitch: bool) -> Array:
-        """Return the measurements with noise, quantization and the residue of the sensors, as a file holds them."""
+        """Return measurements with noise, quantization and the sensors' residue, as a file holds them."""
         outputs, period_s = ideal.copy(), (time_s[-1] - time_s[0]) / (len(time_s) - 1)
         outputs[:, :2] = np.round(outputs[:, :2] / ENCODER_STEP_RAD) * ENCODER_STEP_RAD
         outputs[:, 2:] += rng.normal(0.0, LASER_NOISE_M, (len(ideal), 2))
@@ -290,7 +295,7 @@ def _every(run: Played, count: int) -> Played:
 
 
 def _jittered(time_s: Array, size_s: float, rng: np.random.Generator) -> Array:
-    """Return times, s, that are off by a standard deviation, s; the first one is right, and their order is kept."""
+    """Return times, s, that are off by a standard deviation, s; the first is right, the order is kept."""
     largest = 0.4 * (time_s[1] - time_s[0])
     off = np.clip(size_s * rng.standard_normal(len(time_s)), -largest, largest)
     off[0] = 0.0

@@ -1,7 +1,8 @@
 """Record the rigs to disk: the runs as a user would have them, and the noise-free truth beside them.
 
-A session is a folder with `runs/*.csv.gz`, `machine.json` (the declared machine), `truth.npz` (noise-free measurements
-by run) and `session.json` (its origin). It is recorded again after the rig or the simulator's source has changed.
+A session is a folder with `runs/*.csv.gz`, `machine.json` (the declared machine), `truth.npz` (noise-free
+measurements by run) and `session.json` (its origin). It is recorded again after the rig or the simulator's
+source has changed.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ from tests.rigs.excitation import record_runs
 DEFAULT_FOLDER = "out/rigs"
 FORMAT = 1  # of the folder; increase it to have every session recorded again
 DURATION_S = 2.0
-# A rig is at rest when its recording begins. The simulated stage starts with unstretched belts and needs time to
-# settle.
+# A rig is at rest when its recording begins. The simulated stage starts with unstretched belts and needs time
+# to settle.
 SETTLING_S = 0.3
 COLUMNS = "time_s,v1_V,v2_V,phi1_rad,phi2_rad,x_m,y_m"
 

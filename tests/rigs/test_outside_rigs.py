@@ -1,4 +1,4 @@
-"""Test the rigs with effects outside the library: each moves the stage, none at size zero, the draw is repeatable."""
+"""Test the rigs with effects outside the library: each moves the stage, none at size 0, repeatably."""
 
 import dataclasses
 import zlib

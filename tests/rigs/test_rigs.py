@@ -57,7 +57,8 @@ def test_the_table_covers_the_library_at_three_sizes(hframe):
     single = [c for c in cases().values() if c.kind == "library" and len(c.hidden_effects) == 1]
     hidden = {(case.hidden_effects[0].label, case.size) for case in single}
     for library in EFFECTS.values():
-        # It has no size; only in a pair with cogging; of the log, hidden by `outside_rigs`; not of an H-frame.
+        # It has no size; only in a pair with cogging; of the log, hidden by `outside_rigs`; not of an
+        # H-frame.
         if library.name in ("idler_inertia", "second_cogging", "clock_drift", *ELSEWHERE):
             continue
         labels = {f"{library.name}@{site}" for site in effect_sites(library, hframe)}

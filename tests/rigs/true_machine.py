@@ -1,4 +1,4 @@
-"""Describe a random rig as a machine of the package: its true machine, and the values identification should find."""
+"""Describe a random rig as a machine of the package: its true machine, and the values to find."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def true_machine(random_rig: RandomRig) -> Machine | None:
         random_rig: The rig.
 
     Returns:
-        The declared machine with the true parameters and the hidden effects in the library's form, without what is off
-        that form; None if the library does not have a hidden effect.
+        The declared machine with the true parameters and the hidden effects in the library's form, without
+        what is off that form; None if the library does not have a hidden effect.
     """
     if not all(effect.in_library for effect in random_rig.hidden_effects):
         return None
@@ -66,7 +66,7 @@ def base_parameters(rig: Rig) -> dict[str, float]:
 
 
 def _without_idlers(rig: Rig) -> dict[str, float]:
-    """Return mass and friction of motors and cart without those of the idlers, which the library limits from below."""
+    """Return mass and friction of motors and cart without the idlers', for which the library has limits."""
     values: dict[str, float] = {}
     for name, of_coordinate in (("mass", rig.mass), ("viscous", rig.viscous)):
         both = 0.5 * (of_coordinate[2] + of_coordinate[3])
@@ -78,17 +78,19 @@ def _without_idlers(rig: Rig) -> dict[str, float]:
 def identified_values(random_rig: RandomRig) -> dict[str, float]:
     """Return the values that identification should find for the parameters of a rig.
 
-    Voltages determine forces only relative to the gain of motor 1, whose declared value is not fitted. Therefore all
-    forces, masses and belts appear multiplied by the declared gain over the true one.
+    Voltages determine forces only relative to the gain of motor 1, whose declared value is not fitted.
+    Therefore all forces, masses and belts appear multiplied by the declared gain over the true one.
 
     Args:
         random_rig: The rig, whose effects have the library's form.
 
     Returns:
-        Values by full name (x.mass, cogging@motor1.A), SI. Parameters for which no value can be given are missing.
+        Values by full name (x.mass, cogging@motor1.A), SI. Parameters for which no value can be given are
+        missing.
     """
     rig, declared = random_rig.stage[0], Rig()
-    # A factor of the voltage is equivalent to one of the torque constant and its inverse of the back-EMF constant.
+    # A factor of the voltage is equivalent to one of the torque constant and its inverse of the back-EMF
+    # constant.
     per_volt = np.array(rig.drive_gain) * np.array(rig.torque_constant) / np.array(rig.resistance_ohm)
     scale = declared.torque_constant[0] / declared.resistance_ohm[0] / per_volt[0]
     values = {

@@ -1,6 +1,7 @@
 """Hide from the project's code what only POSIX systems have, in this process and in those that it starts.
 
-What the standard library and other packages import is not changed: on Windows they have their own implementations.
+What the standard library and other packages import is not changed: on Windows they have their own
+implementations.
 """
 
 from __future__ import annotations
@@ -78,7 +79,7 @@ def _import_without_posix(
 
 
 def install() -> None:
-    """Hide the names here and, by PYTHONPATH, in processes that this one starts; leave only the start method spawn."""
+    """Hide the names here and, by PYTHONPATH, in processes started here; leave only the method spawn."""
     builtins.__import__ = _import_without_posix  # type: ignore[assignment]
     contexts: dict[str, Any] = multiprocessing.context._concrete_contexts  # type: ignore[attr-defined]
     for method in ("fork", "forkserver"):

@@ -64,7 +64,7 @@ def plain_ppo(results: dict[str, Any]) -> str:
 
 @table("agents")
 def agents(results: dict[str, Any]) -> str:
-    """Format the scores of the shipped agents relative to the physical bound (reach) and to the PID (track)."""
+    """Format the shipped agents' scores relative to the physical bound (reach) and to the PID (track)."""
     tasks = results["tasks"]
     rows = []
     for name, result in _by_agent(tasks["reach"], "reach"):
@@ -213,7 +213,7 @@ def her(results: dict[str, Any]) -> str:
 
 @table("corrected_control")
 def corrected_control(results: dict[str, Any]) -> str:
-    """Format the number of rigs on which the corrected machine's controller is better, and the scores by rig."""
+    """Format the number of rigs where the corrected machine's controller is better, and the scores by rig."""
     rigs, decides, header = results["rigs"], results["decides"], ["declared", "refitted", "corrected"]
     rows = []
     for (who, label), over in itertools.product(decides.items(), ("declared", "refitted")):

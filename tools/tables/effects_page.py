@@ -12,13 +12,13 @@ from tools.tables.result_tables import markdown
 
 _EFFECTS_HEAD = """# Effect library
 
-Generated from `hframe_gym/effects/` by `python -m tools.tables`. An effect is a physical phenomenon that the basic
-model ([physics](physics.md)) lacks. It acts at a site of a machine: a coordinate, a drive and its motor, the belts, a
-sensor, or the machine as a whole. `hframe identify` tries every effect at every site;
+Generated from `hframe_gym/effects/` by `python -m tools.tables`. An effect is a physical phenomenon that the
+basic model ([physics](physics.md)) lacks. It acts at a site of a machine: a coordinate, a drive and its
+motor, the belts, a sensor, or the machine as a whole. `hframe identify` tries every effect at every site;
 [Extending](extending.md#an-effect) shows how to add one.
 
-Units in words depend on the site: a force is in N at x and in Nm at a motor. Bounds are in SI units. An effect vanishes
-where its amplitude is zero.
+Units in words depend on the site: a force is in N at x and in Nm at a motor. Bounds are in SI units. An
+effect vanishes where its amplitude is zero.
 
 """
 
@@ -26,8 +26,9 @@ where its amplitude is zero.
 _EFFECTS_TAIL = """
 ## Tables
 
-`smooth_force[VARIABLE]` and `smooth_friction[VARIABLE]` represent forces that no formula of the library explains:
-piecewise linear functions, with two dozen knots, of a position, a velocity, the distance traveled, or time.
+`smooth_force[VARIABLE]` and `smooth_friction[VARIABLE]` represent forces that no formula of the library
+explains: piecewise linear functions, with two dozen knots, of a position, a velocity, the distance traveled,
+or time.
 """
 
 

@@ -108,7 +108,7 @@ def gap_learned(results: dict[str, Any]) -> str:
 
 @table("gap_trained")
 def gap_trained(results: dict[str, Any]) -> str:
-    """Format agents that were trained on corrected machines beside the same agents with the laws of these machines."""
+    """Format agents trained on corrected machines beside the same agents with these machines' laws."""
     rows = []
     for row in results["rows"]:
         cells = []
@@ -148,7 +148,7 @@ def model_error(results: dict[str, Any]) -> str:
 
 @table("model_error_machines")
 def model_error_machines(results: dict[str, Any]) -> str:
-    """Format how fast moves are with the declared and with an exact model, on machines other than the declared one."""
+    """Format how fast moves are with the declared and with an exact model, on other machines."""
     rows = []
     for name, of in sorted(results["rows"].items(), key=lambda item: -item[1]["gain"][0]):
         gains = [

@@ -107,7 +107,7 @@ def identification_set(results: dict[str, Any]) -> str:
 
 @table(RANDOM_RIGS, RANDOM_RIGS_CLOSED)
 def random_rigs(results: dict[str, Any]) -> str:
-    """Format names, errors, standard deviations and time on rigs that were drawn at random, in open or closed loop."""
+    """Format names, errors, standard deviations and time on random rigs, in open or closed loop."""
     content = results["summary"]
     rows = []
     for key, title in RANDOM_RIG_KINDS.items():
@@ -198,7 +198,7 @@ def quantiles(values: dict[str, float]) -> str:
 
 @table("random_rigs_totals", source=RANDOM_RIGS)
 def random_rigs_totals(results: dict[str, Any]) -> str:
-    """Format the totals of the rigs that were drawn at random, in open loop and under a position controller."""
+    """Format the totals of the random rigs, in open loop and under a position controller."""
     rows = []
     for title, content in (
         ("voltages as programmed", results["summary"]),
@@ -311,7 +311,7 @@ def formulas(results: dict[str, Any]) -> str:
 
 @table("public_axes")
 def public_axes(results: dict[str, Any]) -> str:
-    """Format the public recordings of motors and axes: errors of the machines, the fit to beat, verdict and time."""
+    """Format the public recordings of motors and axes: errors of machines, fit to beat, verdict, time."""
     rows = []
     for r in results["sets"]:
         stages = ("declared", "plain", "before", "after", "reference")

@@ -1,12 +1,12 @@
 """Tables of docs/leaderboard.md and docs/bound.md from benchmarks/leaderboard and the stored bounds.
 
     python -m tools.tables.leaderboard --check FILE...               # are the files valid?
-    python -m tools.tables.leaderboard --rerun FILE [--as ENTRY]     # do the numbers of a submission come out again?
+    python -m tools.tables.leaderboard --rerun FILE [--as ENTRY]     # do its numbers come out again?
 
-`python -m tools.tables` writes the pages. Every file is validated; one that is not valid stops the generation. In each
-part of a protocol the entries are sorted by their mean, and compared draw by draw with the best controller that is not
-learned. Agents whose names differ only in the seed of their training (`NAME-seed0`, `NAME-seed1`) get a further row
-with intervals over draws and seeds.
+`python -m tools.tables` writes the pages. Every file is validated; one that is not valid stops the
+generation. In each part of a protocol the entries are sorted by their mean, and compared draw by draw with
+the best controller that is not learned. Agents whose names differ only in the seed of their training
+(`NAME-seed0`, `NAME-seed1`) get a further row with intervals over draws and seeds.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ ABOUT = ("learned by", "observes", "uses of the model", "million steps", "traini
 
 
 def results() -> list[ResultFile]:
-    """Read the result files of the leaderboard, one per protocol and entry, sorted by the name of the file."""
+    """Read the result files of the leaderboard, one per protocol and entry, sorted by file name."""
     return [read_result(path) for path in sorted(FOLDER.glob("*.json"))]
 
 
@@ -269,7 +269,8 @@ def rerun(path: Path, name: str | None = None) -> tuple[bool, str]:
 
     Args:
         path: Result file.
-        name: Controller, agent or folder to run. Default: the file's name of the entry, as `hframe evaluate` takes it.
+        name: Controller, agent or folder to run. Default: the file's name of the entry, as `hframe evaluate`
+            takes it.
 
     Returns:
         reproduced: Whether the file's numbers came out again, by an entry with the same weights.

@@ -1,4 +1,4 @@
-"""Tables of docs/machine.md and the JSON Schema of machine.json, from the pydantic models of the file format."""
+"""Tables of docs/machine.md and the JSON Schema of machine.json, from pydantic models of the format."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def schema_text() -> str:
 
 
 def with_field_tables(text: str) -> str:
-    """Replace the field tables of docs/machine.md by the present ones, one section per table of machine.json."""
+    """Replace the field tables of docs/machine.md by present ones, one section per table of machine.json."""
     sections = "\n\n".join(map(_section, TABLES))
     return re.sub(
         r"<!-- fields -->.*?<!-- end -->",

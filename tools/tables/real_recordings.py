@@ -1,8 +1,9 @@
-"""Tables of docs/real_machines.md from benchmarks/results/real_recordings.json, whose rows are written by hand.
+"""Tables of docs/real_machines.md from benchmarks/results/real_recordings.json, with rows written by hand.
 
-A row has `recording`, `log`, `source`, how to `describe` the machine, the commit that was `measured`, the `verdict` (a
-word, or the list of named effects), the errors of the machines in `unit` (one number for each coordinate, or null), and
-`cpu_seconds`. It may have a `note`. If the delivered error is larger than that of the fit to beat, it has the `cause`.
+A row has `recording`, `log`, `source`, how to `describe` the machine, the commit that was `measured`, the
+`verdict` (a word, or the list of named effects), the errors of the machines in `unit` (one number for each
+coordinate, or null), and `cpu_seconds`. It may have a `note`. If the delivered error is larger than that of
+the fit to beat, it has the `cause`.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ CLEARLY_BETTER = 0.8  # fraction of the error of the fit to beat that the summar
 
 
 def ratios(row: dict[str, Any]) -> list[float]:
-    """Return the delivered error over that of the fit to beat, dimensionless, for each coordinate of a recording."""
+    """Return the delivered error over that of the fit to beat, dimensionless, per coordinate."""
     errors = row["errors"]
     return [ours / theirs for ours, theirs in zip(errors["delivered"], errors["to_beat"], strict=True)]
 
@@ -91,7 +92,7 @@ def above(results: dict[str, Any]) -> str:
 
 
 def recordings(results: dict[str, Any], kind: str) -> str:
-    """Format the recordings of a kind: errors of the machines, then how each was described and what it shows."""
+    """Format the recordings of a kind: errors of the machines, how each was described and what it shows."""
     rows = [row for row in results["recordings"] if row["kind"] == kind]
     cells = []
     for r in rows:

@@ -75,7 +75,7 @@ def differentiable(results: dict[str, Any]) -> str:
 
 @table("env_speed")
 def env_speed(results: dict[str, Any]) -> str:
-    """Format the environment's speed relative to other environments, and the fraction of the kernel in a step."""
+    """Format the environment's speed relative to other environments, and the kernel's fraction of a step."""
     rows = []
     for name, result in results.items():
         if name.startswith(("over EnvPool", "single over")):

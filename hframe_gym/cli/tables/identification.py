@@ -24,15 +24,15 @@ _MACHINE_COLUMNS = {
 
 
 def identification_table(report: Report) -> Table:
-    """Format the simulation errors of an identification on held-out recordings (those not used for fitting) as a table.
+    """Format the simulation errors of an identification on held-out recordings (not used to fit) as a table.
 
     Returns:
-        Table (rich) with one row per channel and a column for each machine: as declared, with refitted parameters, with
-        the identified effects as well, and, if there is one, the plain fit of inertia and friction. An error is the
-        root mean square and, below it, a multiple of the sensor noise and a percentage of the motion; or the
-        words "diverges" or "not measured". If the report contains it, a last row has the root mean square error of the
-        drives' force divided by the root mean square of this force, %. Below the table: the force that the machines
-        lack.
+        Table (rich) with one row per channel and a column for each machine: as declared, with refitted
+        parameters, with the identified effects as well, and, if there is one, the plain fit of inertia and
+        friction. An error is the root mean square and, below it, a multiple of the sensor noise and a
+        percentage of the motion; or the words "diverges" or "not measured". If the report contains it, a last
+        row has the root mean square error of the drives' force divided by the root mean square of this force,
+        %. Below the table: the force that the machines lack.
     """
     from ...identification.report.remainder import missing_forces
 
@@ -58,11 +58,11 @@ def identification_table(report: Report) -> Table:
 
 
 def effect_lines(report: Report) -> list[str]:
-    """Describe the identified effects with their parameters, one line each, those with the largest gain first.
+    """Describe the identified effects with their parameters, one line each, by decreasing gain.
 
     Returns:
-        Lines such as "stribeck friction at x: dF = 2.8393 +- 0.0004 N, vs = 0.040011 +- 9.7e-06 m/s". Of a table, only
-        the number of its points.
+        Lines such as "stribeck friction at x: dF = 2.8393 +- 0.0004 N, vs = 0.040011 +- 9.7e-06 m/s". Of a
+        table, only the number of its points.
     """
     lines = []
     for effect in sorted(report.effects, key=lambda e: -e.held_out_gain):
@@ -79,7 +79,7 @@ def _parameter_text(name: str, parameter: ParameterValue) -> str:
 
 
 def _error_cell(channel: str, error: ChannelErrors) -> str:
-    """Return an rms error, its multiple of the noise and its percentage of the motion, one a line; "" if unknown."""
+    """Return an rms error, its multiple of the noise and percentage of the motion, one a line, or ""."""
     from ...identification.report.units import readable_unit
 
     if error.rmse is None:

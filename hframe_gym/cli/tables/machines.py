@@ -26,8 +26,8 @@ def machine_table() -> Table:
     """Format the built-in machines as a table.
 
     Returns:
-        Table (rich) with one row per machine: name, description, numbers of coordinates and belts, and the lowest three
-        natural frequencies of the masses on the belts (belt modes), Hz.
+        Table (rich) with one row per machine: name, description, numbers of coordinates and belts, and the
+        lowest three natural frequencies of the masses on the belts (belt modes), Hz.
     """
     table = _table("machine", "description")
     for name, make_machine in BUILTIN_MACHINES.items():
@@ -45,8 +45,8 @@ def effect_table() -> Table:
     Plugins are loaded first. Names are never wrapped or truncated, so that a pipe can search them.
 
     Returns:
-        Table (rich) with one row per effect and two columns: its name; its formula, the kind of component it acts on
-        (site) and its parameters with units.
+        Table (rich) with one row per effect and two columns: its name; its formula, the kind of component it
+        acts on (site) and its parameters with units.
     """
     load_plugins()
     table = _table("effect", "formula, site, parameters")
@@ -60,7 +60,7 @@ def effect_table() -> Table:
 
 
 def _table(first: str, second: str) -> Table:
-    """Return a table of two columns: names, which are never cut or wrapped, and texts, which wrap between words."""
+    """Return a table of two columns: names, which are never cut or wrapped, and texts, which wrap."""
     table = Table(box=box.SIMPLE_HEAD, show_lines=False, pad_edge=False, padding=(0, 1))
     table.add_column(first, no_wrap=True)
     table.add_column(second, overflow="fold")
@@ -73,11 +73,12 @@ def _count(count: int, noun: str) -> str:
 
 
 def machine_tables(machine: Machine) -> list[Table]:
-    """Format a machine as tables with units: coordinates, belts, drives, sensors, effects, and limits of the motion.
+    """Format a machine as tables: coordinates, belts, drives, sensors, effects, and limits of the motion.
 
     Returns:
-        Tables (rich), without those that would be empty. The last one has moved mass, stall force (force at rest),
-        acceleration and top speed along each axis at rated voltage; implausible values there show wrong units.
+        Tables (rich), without those that would be empty. The last one has moved mass, stall force (force at
+        rest), acceleration and top speed along each axis at rated voltage; implausible values there show
+        wrong units.
     """
     tables = [_coordinate_table(machine), _belt_table(machine), _drive_table(machine), _sensor_table(machine)]
     effects = _titled("effects", "effect@site", "parameters")
@@ -198,7 +199,7 @@ def belt_mode_line(machine: Machine) -> str:
 
 
 def _lowest_modes(machine: Machine) -> str:
-    """Return the lowest belt modes with their unit, such as "18.6, 33.1, 40.0, ... Hz"; "" without elastic belts."""
+    """Return the lowest belt modes, such as "18.6, 33.1, 40.0, ... Hz"; "" without elastic belts."""
     modes = [f"{frequency:.1f}" for frequency in belt_modes(machine)]
     listed = [*modes[:LISTED_MODES], "..."] if len(modes) > LISTED_MODES else modes
     return f"{', '.join(listed)} Hz" if listed else ""

@@ -24,12 +24,12 @@ def score_table(scores: Mapping[str, Any]) -> Table:
     Numbers are never truncated; a name that is too long for the terminal continues on the next line.
 
     Returns:
-        Table (rich) with one row per controller. The first columns are the fractions of episodes, %, that end within 1,
-        0.2 and 0.05 mm of the goal. For a fixed goal, the mean settling times to these bands, s, follow, and the mean
-        settling time to 0.2 mm divided by the mean of the shortest possible ones (time-optimal bound), and the mean
-        distance to the goal at the end, mm; "-" means that the value is unknown or nothing settles. For a path, root
-        mean square and largest contour and tracking error, mm, follow instead.
-        Rotary axes have bands of 10, 2 and 0.5 mrad, and errors in mrad.
+        Table (rich) with one row per controller. The first columns are the fractions of episodes, %, that end
+        within 1, 0.2 and 0.05 mm of the goal. For a fixed goal, the mean settling times to these bands, s,
+        follow, and the mean settling time to 0.2 mm divided by the mean of the shortest possible ones
+        (time-optimal bound), and the mean distance to the goal at the end, mm; "-" means that the value is
+        unknown or nothing settles. For a path, root mean square and largest contour and tracking error, mm,
+        follow instead. Rotary axes have bands of 10, 2 and 0.5 mrad, and errors in mrad.
     """
     from ...evaluation import PATH_ERRORS, task_name, unit_of_scores
 
@@ -68,7 +68,7 @@ def score_table(scores: Mapping[str, Any]) -> Table:
 
 
 def _settling_cells(score: Mapping[str, Any], unit: AxisUnit) -> list[str]:
-    """Return the mean settling times, s, their ratio to the mean time-optimal bound, and the mean error at the end."""
+    """Return the mean settling times, s, their ratio to the mean bound, and the mean error at the end."""
     from ...evaluation import ratio_to_bounds, settling_in
 
     values = (*(settling_in(score, band) for band in unit.bands), ratio_to_bounds(score))
@@ -88,10 +88,11 @@ def protocol_tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
     """Format the results of controllers in a protocol, one of the fixed benchmarks of the leaderboard.
 
     Returns:
-        One table (rich) per task of the protocol, with one row per controller. For moves to a goal: the fractions
-        of episodes, %, that settle within 1, 0.2 and 0.05 mm, the mean settling time to 0.2 mm, s, and its ratio to
-        the mean bound (where bounds are stored), with 95 % intervals, and the median distance at the end, mm. For
-        paths: root mean square and largest contour error, mm, with their intervals.
+        One table (rich) per task of the protocol, with one row per controller. For moves to a goal: the
+        fractions of episodes, %, that settle within 1, 0.2 and 0.05 mm, the mean settling time to 0.2 mm, s,
+        and its ratio to the mean bound (where bounds are stored), with 95 % intervals, and the median
+        distance at the end, mm. For paths: root mean square and largest contour error, mm, with their
+        intervals.
     """
     from ...evaluation import get_protocol, protocol_bounds, settling_or_none
 

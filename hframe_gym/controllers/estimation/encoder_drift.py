@@ -1,9 +1,9 @@
 """Whether a state estimator should take encoders for sensors that drift, decided from recordings.
 
-An estimator predicts each measurement from all before. Where a belt creeps over its pulley, climbs its teeth or runs on
-an eccentric one, and the machine file lacks that, the measurements of a recorded run are more probable under an
-estimator that also estimates errors of the encoders. Where they do not drift, these errors only make its predictions
-less certain, and the measurements less probable: the comparison needs no threshold.
+An estimator predicts each measurement from all before. Where a belt creeps over its pulley, climbs its teeth
+or runs on an eccentric one, and the machine file lacks that, the measurements of a recorded run are more
+probable under an estimator that also estimates errors of the encoders. Where they do not drift, these errors
+only make its predictions less certain, and the measurements less probable: the comparison needs no threshold.
 """
 
 from __future__ import annotations
@@ -22,20 +22,21 @@ SAME_TIME_S = 1e-9  # s; times that differ by less are equal: sums of periods ar
 
 
 def encoders_drift(machine: Machine, recordings: Sequence[Recording], period: float) -> bool:
-    """Decide whether the encoders drift: whether `StateEstimator(..., drifting_encoders=True)` predicts runs better.
+    """Decide whether the encoders drift: whether an estimator with `drifting_encoders` predicts runs better.
 
     Args:
         machine: Machine of the estimator, with the sensors of the recordings.
-        recordings: Runs to which the machine was not fitted. They begin at rest, and show what the controller will
-            observe: sensors with the same zeros.
+        recordings: Runs to which the machine was not fitted. They begin at rest, and show what the controller
+            will observe: sensors with the same zeros.
         period: Control period, s.
 
     Returns:
-        Whether the measurements of all runs, one a period, are more probable if errors of the encoders are estimated.
+        Whether the measurements of all runs, one a period, are more probable if errors of the encoders are
+        estimated.
 
     Raises:
-        InputError: If there are no recordings, one lacks a measurement or is shorter than a period, or a state
-            estimator refuses machine or period.
+        InputError: If there are no recordings, one lacks a measurement or is shorter than a period, or a
+            state estimator refuses machine or period.
     """
     if not recordings:
         raise InputError("encoders_drift needs at least one recording of the machine")
@@ -50,7 +51,7 @@ def encoders_drift(machine: Machine, recordings: Sequence[Recording], period: fl
 
 
 def _log_likelihood(estimator: StateEstimator, recording: Recording) -> float:
-    """Return the logarithm of the density of a run's measurements, one a control period, for a new estimator."""
+    """Return the log density of a run's measurements, one a control period, for a new estimator."""
     begins_s, period, total = float(recording.time_s[0]), estimator.period, 0.0
     periods = int((recording.time_s[-1] - begins_s + SAME_TIME_S) / period)
     if periods < 1:
@@ -66,8 +67,8 @@ def _log_likelihood(estimator: StateEstimator, recording: Recording) -> float:
 def _arrived(recording: Recording, end_s: float, period: float) -> tuple[Array, Array]:
     """Return the voltages of the period before a time, as `DeadTime.arrived_history` does.
 
-    They also change between the control periods. Their means over the periods would move the tool by tenths of a
-    millimeter less or more.
+    They also change between the control periods. Their means over the periods would move the tool by tenths
+    of a millimeter less or more.
     """
     start_s = end_s - period
     first, last = np.searchsorted(

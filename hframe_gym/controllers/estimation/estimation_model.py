@@ -14,11 +14,13 @@ from ...errors import InputError
 from ...machine import Machine, Sensor
 from ..models.motion_model import MotionModel
 
-# Prior standard deviations of the logarithms of parameter ratios: friction is hardly known before it is measured,
-# masses are weighed, motors have data sheets. A resistance has the effect of a Kt and is not estimated beside it.
+# Prior standard deviations of the logarithms of parameter ratios: friction is hardly known before it is
+# measured, masses are weighed, motors have data sheets. A resistance has the effect of a Kt and is not
+# estimated beside it.
 PARAMETER_STD = {"mass": 0.1, "coulomb": 0.4, "viscous": 0.2, "EA": 0.1, "Kt": 0.05, "Ke": 0.05}
 COMMON_BELT_STD = 0.17  # of the error that all belts have in common because they are cut from one piece
-# Of these deviations, what remains possible after an identification: heat, wear, friction that depends on the place.
+# Of these deviations, what remains possible after an identification: heat, wear, friction that depends on the
+# place.
 REMAINING = 0.25
 LARGEST_RATIO = 4.0  # largest ratio of a parameter to its declared value, or the inverse
 # m, floor of the measurement noise in travel, also for sensors declared without noise.
@@ -26,12 +28,13 @@ SMALLEST_NOISE_M = 1e-7
 
 
 def prior_deviation(machine: Machine, name: str, declared: float) -> float:
-    """Return how uncertain a parameter is before its estimation: std of ln(true value / value), dimensionless.
+    """Return how uncertain a parameter is before estimation: std of ln(true value / value), dimensionless.
 
     Args:
         machine: Machine with the value, and with its covariance if it was identified.
         name: Full name of the parameter, for example "x.mass".
-        declared: Standard deviation for a value that was not identified, dimensionless. It is also the upper limit.
+        declared: Standard deviation for a value that was not identified, dimensionless. It is also the upper
+            limit.
     """
     std = machine.uncertainty.std(name) if machine.uncertainty else None
     value = machine.parameters[name]
@@ -41,7 +44,7 @@ def prior_deviation(machine: Machine, name: str, declared: float) -> float:
 
 
 class ParameterRatios:
-    """Parameters of a machine that are estimated as natural logarithms of their ratios to the declared values.
+    """Parameters of a machine, estimated as natural logarithms of their ratios to the declared values.
 
     A logarithm of 0.1 means about 10 % above the declared value. A parameter cannot change its sign.
 
@@ -67,10 +70,10 @@ class ParameterRatios:
 
 
 class AugmentedParameters(ParameterRatios):
-    """Parameters of a machine that are estimated with its state: nonzero masses, friction, EA and motor constants.
+    """Parameters of a machine, estimated with its state: nonzero masses, friction, EA and motor constants.
 
-    EA is the tensile stiffness of a belt (modulus times cross section), N; its estimate also absorbs the error of the
-    belt's length.
+    EA is the tensile stiffness of a belt (modulus times cross section), N; its estimate also absorbs the
+    error of the belt's length.
 
     Attributes:
         names: Full names of the k parameters.
@@ -92,16 +95,16 @@ class AugmentedParameters(ParameterRatios):
         self.covariance: Array = np.diag(std**2) + COMMON_BELT_STD**2 * np.outer(belts, belts)
 
     def ratios(self, logarithms: Array) -> Array:
-        """Compute the ratios of estimated to declared values, within [1/4, 4], from `logarithms`, shape (B, k)."""
+        """Compute the ratios of estimated to declared values, [1/4, 4], from `logarithms`, shape (B, k)."""
         return np.exp(self.clip(logarithms))
 
     def clip(self, logarithms: Array) -> Array:
-        """Limit the natural `logarithms` of parameter ratios, shape (B, k), to [-log 4, log 4] (`LARGEST_RATIO`)."""
+        """Limit `logarithms` of parameter ratios, shape (B, k), to [-log 4, log 4] (`LARGEST_RATIO`)."""
         return np.clip(logarithms, -np.log(LARGEST_RATIO), np.log(LARGEST_RATIO))
 
     @override
     def parameters(self, logarithms: Array) -> ParameterRows:
-        """Compute parameter values; the ratios to the declared ones are limited to [1/4, 4] (`LARGEST_RATIO`)."""
+        """Compute parameter values; ratios to the declared ones are limited to [1/4, 4] (`LARGEST_RATIO`)."""
         return super().parameters(self.clip(logarithms))
 
 
@@ -113,10 +116,10 @@ def _is_linear(sensor: Sensor) -> bool:
 class MeasurementModel:
     """Measurement equation z = H s + d(s) of a machine's declared sensors, scaled to meters of belt travel.
 
-    The state s holds the belt travel of the n coordinates, m, and its velocity, m/s; d(s) is what effects of the
-    sensors, such as an interpolation error, add to a linear measurement. Sensors of positions and speeds are used;
-    those of accelerations, currents and unsigned speeds are not linear in the state, and an angle that begins anew
-    after each turn does not tell the position, so that they count as outside their range.
+    The state s holds the belt travel of the n coordinates, m, and its velocity, m/s; d(s) is what effects of
+    the sensors, such as an interpolation error, add to a linear measurement. Sensors of positions and speeds
+    are used; those of accelerations, currents and unsigned speeds are not linear in the state, and an angle
+    that begins anew after each turn does not tell the position, so that they count as outside their range.
 
     Args:
         model: Model of the machine whose `sensors`, with their ranges and delays, supply the measurements.
@@ -145,7 +148,8 @@ class MeasurementModel:
         count = len(names)
         self._scale = np.tile(machine.travel_per_unit, 2)
         readings = self._readings(np.vstack([np.zeros(2 * count), np.diag(self._scale)]))
-        # Sensitivity of each channel to travel and speed of each coordinate, in the channel's unit per m and per m/s.
+        # Sensitivity of each channel to travel and speed of each coordinate, in the channel's unit per m and
+        # per m/s.
         sensitivity = (readings[1:] - readings[0]).T / self._scale
         sensitivity[~self._used] = 0.0
         norm = np.linalg.norm(sensitivity, axis=1)
@@ -175,7 +179,7 @@ class MeasurementModel:
         return np.stack(np.broadcast_arrays(*readings, at_rest[0])[:-1], axis=1)
 
     def deviation(self, states: TravelStates) -> Array:
-        """Compute d(s), what effects add to a linear measurement, m or m/s, shape (B, channels); 0 if not used."""
+        """Compute d(s), what effects add to a linear measurement, m or m/s, shape (B, channels), or 0."""
         if self.is_linear:
             return np.zeros((len(states), self.channels))
         deviation = self._readings(states) * self._unit - states @ self._undelayed.T
@@ -188,14 +192,16 @@ class MeasurementModel:
             measurements: Measurements in the units of the channels, shape (B, channels).
 
         Returns:
-            Measurements, shape (B, channels): m of positions, m/s of speeds; unchanged if the sensor is not used.
+            Measurements, shape (B, channels): m of positions, m/s of speeds; unchanged if the sensor is not
+            used.
         """
         return measurements * self._unit
 
     def in_range(self, measurements: Array) -> Mask:
         """Test which measurements lie strictly inside the ranges of their sensors, shape (B, channels).
 
-        At an end of its range, a sensor does not follow the position; such a measurement must not correct an estimate.
+        At an end of its range, a sensor does not follow the position; such a measurement must not correct an
+        estimate.
 
         Args:
             measurements: Measurements, m or rad, shape (B, channels).

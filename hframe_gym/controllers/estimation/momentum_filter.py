@@ -1,13 +1,14 @@
 """Estimation of friction, masses and belt stiffness from balances of momentum over control periods.
 
-In every period the momentum balance of the rigid motion (to which belts are internal) and that of the tool leave a
-residual beyond the model's drive, friction, belt and effect forces, along x and y in N,
+In every period the momentum balance of the rigid motion (to which belts are internal) and that of the tool
+leave a residual beyond the model's drive, friction, belt and effect forces, along x and y in N,
 
-    rigid motion   D = sum_c r_c (-f_c F_c dir_c - d_c m_c a_c)      r_c: travel of coordinate c per rigid motion
-    tool           D = -f_c F_c dir_c - d_c m_c a_c + e B_c          c = x, y,
+    rigid motion   D = sum_c r_c (-f_c F_c dir_c - d_c m_c a_c)   r_c: travel of coordinate c per rigid motion
+    tool           D = -f_c F_c dir_c - d_c m_c a_c + e B_c       c = x, y,
 
-which is linear in the relative errors of the model: f_c of the Coulomb level F_c, d_c of the mass m_c, and e of the
-belt force B_c. Recursive least squares estimate them from all periods of an episode, from the same prior in each.
+which is linear in the relative errors of the model: f_c of the Coulomb level F_c, d_c of the mass m_c, and e
+of the belt force B_c. Recursive least squares estimate them from all periods of an episode, from the same
+prior in each.
 
 References:
     Ljung (1999), System Identification, section 11.2.
@@ -24,16 +25,16 @@ from .recursive_least_squares import RecursiveLeastSquares
 
 # Prior standard deviations of the relative errors, about those of the randomization "default".
 FRICTION_STD, MASS_STD, BELT_STD = 0.5, 0.1, 0.2
-# Standard deviation of the noise of a balance, N, tuned on recorded episodes; beside it a fraction of the friction of
-# coordinates that reverse during the period, and for the tool a fraction of the belt force, because the belts' lengths
-# are inaccurate too.
+# Standard deviation of the noise of a balance, N, tuned on recorded episodes; beside it a fraction of the
+# friction of coordinates that reverse during the period, and for the tool a fraction of the belt force,
+# because the belts' lengths are inaccurate too.
 BALANCE_NOISE, REVERSAL_NOISE, BELT_FORCE_NOISE = 0.7, 1.0, 0.15
 # m/s, over which the direction of friction changes, in means over a period: tanh(v / it).
 MEAN_REVERSAL_SPEED = 0.01
 
 
 class MomentumFilter:
-    """Recursive least-squares estimator of friction, masses and belt stiffness of B machines with n coordinates.
+    """Recursive least squares for friction, masses and belt stiffness of B machines with n coordinates.
 
     Args:
         period: Control period, s.
@@ -56,8 +57,8 @@ class MomentumFilter:
     def estimates(self) -> Array:
         """Relative errors of the model (0.1: actual value 10 % above the model's), shape (B, 2 n + 1).
 
-        The columns are those of n Coulomb friction forces (f_c), n masses (d_c) and the belt stiffness (e). All are
-        zero at the start of an episode.
+        The columns are those of n Coulomb friction forces (f_c), n masses (d_c) and the belt stiffness (e).
+        All are zero at the start of an episode.
         """
         return self._least_squares.estimates
 
@@ -68,9 +69,10 @@ class MomentumFilter:
 
     @property
     def mass_ratio(self) -> Array:
-        """Estimated mass that moves along each tool axis divided by the model's, shape (B, axes) for B machines."""
+        """Estimated moving mass of each tool axis divided by the model's, shape (B, axes) for B machines."""
         n = len(self.model.mass)
-        # Contribution of each coordinate to the mass moved along the tool axes with unstretched belts, kg, (n, axes).
+        # Contribution of each coordinate to the mass moved along the tool axes with unstretched belts, kg,
+        # (n, axes).
         moving_mass = self.model.mass[:, None] * self.model.rigid**2
         return 1.0 + self.estimates[:, n:-1] @ (moving_mass / moving_mass.sum(axis=0))
 
@@ -82,14 +84,16 @@ class MomentumFilter:
         effect_force: CoordinateForces,
         starts: Mask,
     ) -> None:
-        """Update the estimates of friction, masses and belt stiffness with the momentum balances of the last period.
+        """Update the estimates of friction, masses and belt stiffness by the last period's momentum balances.
 
-        A balance compares the measured change of momentum with the modeled forces. There is one for the motion with
-        unstretched belts and one for the tool, along each axis; the description of the module states the equations.
+        A balance compares the measured change of momentum with the modeled forces. There is one for the
+        motion with unstretched belts and one for the tool, along each axis; the description of the module
+        states the equations.
 
         Args:
             volts: Mean voltages at the motors in the period.
-            effect_force: Modeled forces of the machine's effects, including those by which effects change friction.
+            effect_force: Modeled forces of the machine's effects, including those by which effects change
+                friction.
             starts: Machines whose episode starts with `after`; their estimates become zero.
         """
         if len(self.estimates) != len(starts):
@@ -102,7 +106,7 @@ class MomentumFilter:
     def _balance(
         self, before: Array, after: Array, volts: Array, effect_force: Array
     ) -> tuple[Array, Array, Array]:
-        """Return the residuals D (B, 2 axes), N, their regressors H (B, 2 axes, 2 n + 1) and noise variances of D."""
+        """Return the residuals D (B, 2 axes), N, their regressors H (B, 2 axes, 2 n + 1) and variances."""
         model, n, axes = self.model, len(self.model.mass), len(self._tool)
         velocities = before[:, n:], after[:, n:]
         belt_force = self._mean_belt_force(before, after)
@@ -133,17 +137,20 @@ class MomentumFilter:
     def friction_voltage_ahead(self, goals: Array) -> Array:
         """Compute voltages that compensate the error of the modeled Coulomb friction along a path.
 
-        Friction opposes the velocity of the goals, which follows from the differences of k goals for k - 2 periods.
+        Friction opposes the velocity of the goals, which follows from the differences of k goals for k - 2
+        periods.
 
         Args:
             goals: Tool goals now and at the ends of the next k - 1 periods, m, shape (B, k, axes), k > 2.
 
         Returns:
-            Voltages for k - 2 periods, the first being the period that starts now, V, shape (B, k - 2, drives).
+            Voltages for k - 2 periods, the first being the period that starts now, V,
+            shape (B, k - 2, drives).
         """
         model, n = self.model, len(self.model.mass)
         mean_velocity = np.diff(goals, axis=1) / self.period
-        # Velocities of x and y at the inner sample times, and by extrapolation at the first; then of all coordinates.
+        # Velocities of x and y at the inner sample times, and by extrapolation at the first; then of all
+        # coordinates.
         inner = 0.5 * (mean_velocity[:, 1:] + mean_velocity[:, :-1])
         velocity = np.concatenate([2.0 * mean_velocity[:, :1] - inner[:, :1], inner], axis=1) @ model.rigid.T
         direction = _mean_direction(velocity[:, :-1], velocity[:, 1:])
@@ -152,7 +159,7 @@ class MomentumFilter:
 
 
 def _mean_direction(before: Array, after: Array) -> Array:
-    """Return the mean of tanh(v / MEAN_REVERSAL_SPEED) while velocities change linearly from `before` to `after`."""
+    """Return the mean of tanh(v / MEAN_REVERSAL_SPEED) while v changes linearly from `before` to `after`."""
     change = (after - before) / MEAN_REVERSAL_SPEED
     # The integral of tanh is log cosh.
     integral = np.logaddexp(after / MEAN_REVERSAL_SPEED, -after / MEAN_REVERSAL_SPEED)

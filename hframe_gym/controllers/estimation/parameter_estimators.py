@@ -1,20 +1,24 @@
-"""Estimation of a machine's parameters during an episode: measured states against simulations of a control period.
+"""Estimation of a machine's parameters in an episode: measured states against one-period simulations.
 
-Unlike `MomentumFilter`, which balances mean forces, these estimators compare the measured state with the simulated one,
-so that belt modes and friction that reverses within a period do not disturb them. They estimate every belt separately.
-Undeclared forces can be estimated as *missing voltages*: voltages at the drives that the simulation lacks.
+Unlike `MomentumFilter`, which balances mean forces, these estimators compare the measured state with the
+simulated one, so that belt modes and friction that reverses within a period do not disturb them. They
+estimate every belt separately. Undeclared forces can be estimated as *missing voltages*: voltages at the
+drives that the simulation lacks.
 
-ParameterEstimator Base class: the estimated parameters, and the simulations that give the derivatives of a period's
+ParameterEstimator Base class: the estimated parameters, and the simulations that give the derivatives of a
+period's
                    final state with respect to the estimates.
-ParameterFilter    Extended Kalman filter: each period is linearized once, at the estimates of its time. Its errors stay
-                   at a few percent even where states are measured exactly, because an early period is never revised.
-ParameterWindow    Moving-horizon estimation: the last periods are linearized anew in every update, so that estimates
-                   converge to the actual parameters where the model's structure is right and the states are exact. The
-                   noise is estimated too: where states or model are inexact, the estimates change slowly.
+ParameterFilter    Extended Kalman filter: each period is linearized once, at the estimates of its time. Its
+                   errors stay at a few percent even where states are measured exactly, because an early
+                   period is never revised.
+ParameterWindow    Moving-horizon estimation: the last periods are linearized anew in every update, so that
+                   estimates converge to the actual parameters where the model's structure is right and the
+                   states are exact. The noise is estimated too: where states or model are inexact, the
+                   estimates change slowly.
 
 References:
-    Ljung (1979), Asymptotic behavior of the extended Kalman filter as a parameter estimator for linear systems.
-    Rao, Rawlings and Mayne (2003), Constrained state estimation for nonlinear discrete-time systems.
+    Ljung (1979), Asymptotic behavior of the extended Kalman filter as a parameter estimator for linear
+    systems. Rao, Rawlings and Mayne (2003), Constrained state estimation for nonlinear discrete-time systems.
 """
 
 from __future__ import annotations
@@ -39,41 +43,46 @@ LARGEST = 1.2  # limit of the logarithms: a ratio of 3.3, or the inverse
 WINDOW = 6  # periods
 REPEATED_PERIODS = 4  # periods at the beginning in which the estimates change much; they take two iterations
 LARGEST_CHANGE = 0.5  # of a logarithm in an iteration
-# Missing voltages, as fractions of the rated voltage: their change per period for each multiple of the smallest noise
-# beyond 1 (standard deviation) with its limit, and the limit of the voltages.
+# Missing voltages, as fractions of the rated voltage: their change per period for each multiple of the
+# smallest noise beyond 1 (standard deviation) with its limit, and the limit of the voltages.
 OFFSET_WALK, LARGEST_WALK, LARGEST_OFFSET = 2e-3, 2e-2, 0.3
 LIMIT_STD = 4.0  # limit of a logarithm in prior standard deviations: a belt must not become shorter than zero
 LARGEST_DIFFERENCE = 1e6  # in multiples of the smallest noise; a simulation with bad parameters may diverge
 
 
 class ParameterEstimator(ABC):
-    """Estimator of parameters of B machines from their states, voltages, and simulations of single control periods.
+    """Estimator of parameters of B machines from states, voltages, and simulations of single control periods.
 
-    A subclass defines in class attributes which parameters are estimated and how large the assumed errors are, and
-    implements the correction of the estimates.
+    A subclass defines in class attributes which parameters are estimated and how large the assumed errors
+    are, and implements the correction of the estimates.
 
     Args:
-        model: Model of the machine with its declared parameters, n coordinates and b belts, without a dead time of the
-            drives: `update` receives the voltages that have arrived at the drives (see `DeadTime`).
+        model: Model of the machine with its declared parameters, n coordinates and b belts, without a dead
+            time of the drives: `update` receives the voltages that have arrived at the drives (see
+            `DeadTime`).
         period: Control period, s.
-        switch_s: Time from the start of a period at which the voltages change, because the drives have a dead time, s;
-            0 if they change at the start.
+        switch_s: Time from the start of a period at which the voltages change, because the drives have a dead
+            time, s; 0 if they change at the start.
 
     Attributes:
-        prior_std: Prior standard deviations of ln(actual / declared value) by kind of parameter: "coulomb" and "mass"
-            of every coordinate, "EA" and "rest_length" of every belt (class attribute). Those of an identified machine
-            are smaller (`prior_deviation`).
-        prior_offset_std: Prior standard deviation of the missing voltage (voltage at a drive that the simulation lacks)
-            as a fraction of the rated voltage; None: no missing voltages are estimated (class attribute).
-        state_std: Standard deviations of measured minus simulated belt travel, m, and its rate, m/s (class attribute).
+        prior_std: Prior standard deviations of ln(actual / declared value) by kind of parameter: "coulomb"
+            and "mass" of every coordinate, "EA" and "rest_length" of every belt (class attribute). Those of
+            an identified machine are smaller (`prior_deviation`).
+        prior_offset_std: Prior standard deviation of the missing voltage (voltage at a drive that the
+            simulation lacks) as a fraction of the rated voltage; None: no missing voltages are estimated
+            (class attribute).
+        state_std: Standard deviations of measured minus simulated belt travel, m, and its rate, m/s (class
+            attribute).
         difference: Change of an estimate for the finite differences, dimensionless (class attribute).
         integration_step: Largest step of the simulations, s (class attribute).
-        parameter_names: Full names of the estimated parameters, such as "x.mass", in the order of the estimates.
+        parameter_names: Full names of the estimated parameters, such as "x.mass", in the order of the
+            estimates.
         size: Number of estimates.
-        estimates: Logarithms of the ratios of actual to declared values (0.1: about 10 % above), limited, in the order
-            of `prior_std`, then the missing voltages, shape (B, size). Zero at the start of an episode.
-        memory: Memories of the machines at the last state (`SimulatedMotion`), shape (B, M): what effects and swinging
-            loads remember of the episode.
+        estimates: Logarithms of the ratios of actual to declared values (0.1: about 10 % above), limited, in
+            the order of `prior_std`, then the missing voltages, shape (B, size). Zero at the start of an
+            episode.
+        memory: Memories of the machines at the last state (`SimulatedMotion`), shape (B, M): what effects and
+            swinging loads remember of the episode.
     """
 
     prior_std: ClassVar[Mapping[str, float]]
@@ -111,10 +120,11 @@ class ParameterEstimator(ABC):
         """Update the attribute `estimates` with the measured states of the control period that has ended.
 
         Args:
-            actions: Voltages at the drives in the period, divided by the rated voltages, shape (B, drives). With a dead
-                time (`switch_s` > 0): the voltages before, then after, `switch_s` in the period, shape (B, 2, drives).
-            starts: Machines whose episode starts with `after`. Their estimates become zero: all parameters have their
-                declared values, because ln(1) = 0, and no voltage is missing.
+            actions: Voltages at the drives in the period, divided by the rated voltages, shape (B, drives).
+                With a dead time (`switch_s` > 0): the voltages before, then after, `switch_s` in the period,
+                shape (B, 2, drives).
+            starts: Machines whose episode starts with `after`. Their estimates become zero: all parameters
+                have their declared values, because ln(1) = 0, and no voltage is missing.
         """
         if len(self.estimates) != len(starts):
             self._resize(len(starts))
@@ -126,7 +136,7 @@ class ParameterEstimator(ABC):
         self.memory[starts] = 0.0
 
     def parameters(self, estimates: Array) -> ParameterRows:
-        """Convert `estimates` to the values of all parameters; those that are not estimated keep their declared values.
+        """Convert `estimates` to the values of all parameters; the others keep their declared values.
 
         The shape is that of the attribute `estimates`, shape (B, size); missing voltages are ignored.
         """
@@ -138,14 +148,14 @@ class ParameterEstimator(ABC):
 
     @abstractmethod
     def _correct(self, before: Array, after: Array, actions: Array, starts: Mask) -> None:
-        """Correct the estimates by the difference between measured and simulated states; arguments as of `update`."""
+        """Correct the estimates by the difference between measured and simulated states; see `update`."""
 
     @abstractmethod
     def _restart(self, starts: Mask) -> None:
         """Forget the episodes of the machines (B,) that start a new one."""
 
     def _simulate(self, estimates: Array, before: Array, memory: Array, actions: Array) -> Array:
-        """Simulate R control periods with given estimates, and again with each of them changed by `difference`."""
+        """Simulate R control periods with given estimates, and with each changed by `difference`."""
         variants = 1 + self.size
         varied = np.tile(estimates, (variants, 1, 1))
         varied[1:] += self.difference * np.eye(self.size)[:, None]
@@ -186,12 +196,14 @@ class ParameterFilter(ParameterEstimator):
 
     Attributes:
         size: Number of estimates, 2 n + b.
-        estimates: n Coulomb friction forces, n masses, b axial stiffnesses EA, as `ParameterEstimator` states them.
+        estimates: n Coulomb friction forces, n masses, b axial stiffnesses EA, as `ParameterEstimator` states
+            them.
     """
 
     # About the standard deviations of the randomization "default"; the belts' lengths enter by EA.
     prior_std: ClassVar[Mapping[str, float]] = {"coulomb": 0.4, "mass": 0.1, "EA": 0.22}
-    # Errors that remain from the linearization, parameters that are not estimated, and the step of the simulation.
+    # Errors that remain from the linearization, parameters that are not estimated, and the step of the
+    # simulation.
     state_std: ClassVar[tuple[float, float]] = (2e-5, 8e-3)
     difference: ClassVar[float] = 0.03
     integration_step: ClassVar[float] = 1e-3
@@ -222,15 +234,16 @@ class ParameterFilter(ParameterEstimator):
 class ParameterWindow(ParameterEstimator):
     """Moving-horizon estimator of Coulomb friction, masses and belts.
 
-    The estimates minimize the squares of the differences between measured and simulated states over the last periods
-    (Gauss-Newton) and of the deviations from what earlier periods and the prior say (arrival cost).
+    The estimates minimize the squares of the differences between measured and simulated states over the last
+    periods (Gauss-Newton) and of the deviations from what earlier periods and the prior say (arrival cost).
 
     Attributes:
         size: Number of estimates, 2 n + 2 b + drives.
         estimates: n Coulomb friction forces, n masses, b axial stiffnesses EA, b lengths, and for each drive
             the missing voltage, as `ParameterEstimator` states them. Only the ratio of EA to length, the
             stiffness of a belt, can be determined.
-        noise_ratio: Estimated noise of the states in multiples of the smallest assumed one, at least 1, shape (B,).
+        noise_ratio: Estimated noise of the states in multiples of the smallest assumed one, at least 1,
+            shape (B,).
     """
 
     # About the standard deviations of the randomization "default".
@@ -254,7 +267,8 @@ class ParameterWindow(ParameterEstimator):
         # Arrival cost: information matrix, and that matrix times the expected values (information vector).
         self._information_matrix = np.tile(self._prior_information, (batch, 1, 1))
         self._information_vector = np.zeros((batch, self.size))
-        # The last periods, the latest last: states before and after, actions, and whether they belong to the episode.
+        # The last periods, the latest last: states before and after, actions, and whether they belong to the
+        # episode.
         self._before, self._after = np.zeros((2, WINDOW, batch, states))
         self._memories = np.zeros((WINDOW, batch, self._motion.memory_size))  # before
         self._actions, self._valid = np.zeros((WINDOW, batch, volts)), np.zeros((WINDOW, batch))
@@ -316,7 +330,7 @@ class ParameterWindow(ParameterEstimator):
             self._let_offsets_walk(inexact)
 
     def _let_offsets_walk(self, inexact: NDArray[np.intp]) -> None:
-        """Add the process noise of a period to the missing voltages of machines whose simulation is inexact."""
+        """Add a period's process noise to the missing voltages of machines whose simulation is inexact."""
         covariance = np.linalg.inv(self._information_matrix[inexact])
         expected = np.einsum("bij,bj->bi", covariance, self._information_vector[inexact])
         walk = np.minimum(OFFSET_WALK * (self.noise_ratio[inexact] - 1.0), LARGEST_WALK)
@@ -328,7 +342,7 @@ class ParameterWindow(ParameterEstimator):
         )
 
     def _linearized(self, chosen: slice) -> tuple[Array, Array]:
-        """Return measured minus simulated states of periods (B, W, 2 n) and the derivatives of the simulated ones.
+        """Return measured minus simulated states of periods (B, W, 2 n) and the latter's derivatives.
 
         Both are in multiples of the smallest noise; the derivatives have the shape (B, W, 2 n, size).
         """

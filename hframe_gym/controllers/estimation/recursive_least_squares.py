@@ -11,7 +11,8 @@ class RecursiveLeastSquares:
     """Estimates of constant parameters of B machines from measurements that depend on them linearly.
 
     Args:
-        prior_std: Standard deviations of the parameters at the start of an episode, in their units, shape (size,).
+        prior_std: Standard deviations of the parameters at the start of an episode, in their units,
+            shape (size,).
 
     Attributes:
         estimates: Estimated parameters, in their units, shape (B, size). Zero at the start of an episode.
@@ -48,7 +49,8 @@ def kalman_gain(PH: Array, S: Array) -> Array:
     """Compute the gains K = P H' S^-1 of B Kalman filters with N estimates and m measurements.
 
     Args:
-        PH: Covariances P H' of the estimates with the measurements, in products of their units, shape (B, N, m).
+        PH: Covariances P H' of the estimates with the measurements, in products of their units,
+            shape (B, N, m).
         S: Covariances of the innovations, in products of the measurements' units, shape (B, m, m).
 
     Returns:

@@ -1,25 +1,29 @@
-"""State estimation from sensors: a Kalman filter around the machine's simulator that also estimates parameters.
+"""State estimation from sensors: a Kalman filter around the simulator that also estimates parameters.
 
-The estimated vector holds travel and velocity of all coordinates, the logarithms of the ratios of masses, friction,
-belt stiffness and motor constants to their declared values (`AugmentedParameters`), and, if they may drift, the errors
-of the encoders. A belt mode covers a good part of its cycle between two measurements: velocities are observable only
-together with the belts' stiffness.
+The estimated vector holds travel and velocity of all coordinates, the logarithms of the ratios of masses,
+friction, belt stiffness and motor constants to their declared values (`AugmentedParameters`), and, if they
+may drift, the errors of the encoders. A belt mode covers a good part of its cycle between two measurements:
+velocities are observable only together with the belts' stiffness.
 
-Prediction    Second-order divided differences: the simulator maps points spread over the covariance, so that friction
-              that sticks at some points and slips at others enters the predicted covariance. Effects with a memory, as
-              heat or a hysteresis, go on from their states at the mean.
-Loads         A load that swings slowly is simulated with its carriage (`slow_loads`), although no sensor sees it.
-Correction    By the measurements within their sensors' ranges. A laser at the end of its range carries no information;
-              encoders, and the belts' stretch under the estimated friction, then locate the tool.
-Encoders      What lies between an encoder and its belt (an eccentric pulley, a belt that creeps or climbs its teeth)
-              moves one against the other. Taken for stretch of the belt, 0.1 mm is a force of tens of newtons. With
-              `drifting_encoders`, the filter therefore estimates an error of each encoder, which wanders slowly.
-Robustness    Innovations larger than their covariance explains inflate it (fading memory), because a machine file is
-              never complete.
+Prediction    Second-order divided differences: the simulator maps points spread over the covariance, so that
+              friction that sticks at some points and slips at others enters the predicted covariance. Effects
+              with a memory, as heat or a hysteresis, go on from their states at the mean.
+Loads         A load that swings slowly is simulated with its carriage (`slow_loads`), although no sensor sees
+              it.
+Correction    By the measurements within their sensors' ranges. A laser at the end of its range carries no
+              information; encoders, and the belts' stretch under the estimated friction, then locate the
+              tool.
+Encoders      What lies between an encoder and its belt (an eccentric pulley, a belt that creeps or climbs its
+              teeth) moves one against the other. Taken for stretch of the belt, 0.1 mm is a force of tens of
+              newtons. With `drifting_encoders`, the filter therefore estimates an error of each encoder,
+              which wanders slowly.
+Robustness    Innovations larger than their covariance explains inflate it (fading memory), because a machine
+              file is never complete.
 
 References:
-    Norgaard, Poulsen and Ravn (2000), New developments in state estimation for nonlinear systems, Automatica 36(11).
-    Fagin (1964), Recursive linear regression theory, optimal filter theory, and error analysis of optimal systems.
+    Norgaard, Poulsen and Ravn (2000), New developments in state estimation for nonlinear systems, Automatica
+    36(11). Fagin (1964), Recursive linear regression theory, optimal filter theory, and error analysis of
+    optimal systems.
 """
 
 from __future__ import annotations
@@ -47,16 +51,19 @@ ROUNDING = 1e-9  # relative growth of variances that keeps a covariance positive
 # Each reduces the error by the slope of the deviation, which is below a third for the errors of real sensors.
 DEVIATION_ITERATIONS = 4
 INITIAL_STRETCH_STD = 1e-4  # m, of the travel at the start of an episode
-# Process noise: an unmodeled force on each coordinate, constant over a period, as a fraction of its Coulomb level (at
-# least a tenth of the largest level); and m/s per square root of a second for machines without friction.
+# Process noise: an unmodeled force on each coordinate, constant over a period, as a fraction of its Coulomb
+# level (at least a tenth of the largest level); and m/s per square root of a second for machines without
+# friction.
 FORCE_NOISE, VELOCITY_NOISE = 0.1, 1e-2
 PARAMETER_MEMORY_S = 8.0  # s, time constant of forgetting: motors warm up, and friction varies along the path
 INNOVATION_LIMIT = 4.0  # squared innovation over its expectation, above which the covariance is inflated
 LARGEST_INFLATION = 1e4  # of variances, per period
-# Standard deviations beyond which travel (m) and velocity (m/s) are not inflated; for parameters the prior ones.
+# Standard deviations beyond which travel (m) and velocity (m/s) are not inflated; for parameters the prior
+# ones.
 LARGEST_STD = (0.1, 1.0)
 # Errors of encoders that may drift: standard deviation at the start of an episode, at rest, m;
-# their growth, m per square root of a second; and the limit of inflation, m: the eccentricity of a bad pulley.
+# their growth, m per square root of a second; and the limit of inflation, m: the eccentricity of a bad
+# pulley.
 ENCODER_START, ENCODER_WALK, ENCODER_LARGEST = 5e-6, 2e-5, 2e-4
 # Smallest distance of the points (m, m/s, logarithm) at which differences of doubles still give a slope.
 SMALLEST_STD = (1e-8, 1e-6, 1e-5)
@@ -67,17 +74,19 @@ class StateEstimator:
 
     Args:
         period: Control period, s.
-        parameter_covariance: Covariance of the logarithms of the ratios of the k parameters `augmented.names` to their
-            values in the machine, at the start of an episode, shape (k, k). Default: that of declared values.
-        drifting_encoders: Whether the sensors of coordinates other than the tool's axes have errors that wander slowly;
-            they are estimated as well. Useful where the machine file may lack effects between encoder and belt.
+        parameter_covariance: Covariance of the logarithms of the ratios of the k parameters `augmented.names`
+            to their values in the machine, at the start of an episode, shape (k, k). Default: that of
+            declared values.
+        drifting_encoders: Whether the sensors of coordinates other than the tool's axes have errors that
+            wander slowly; they are estimated as well. Useful where the machine file may lack effects between
+            encoder and belt.
 
     Attributes:
         augmented: Names and prior covariance of the k estimated parameters (masses, friction, belts, motors).
 
     Raises:
-        InputError: If the machine does not have one drive per axis of its tool, its sensors do not determine the
-            position of the tool, the period is invalid, or the covariance has the wrong shape.
+        InputError: If the machine does not have one drive per axis of its tool, its sensors do not determine
+            the position of the tool, the period is invalid, or the covariance has the wrong shape.
     """
 
     def __init__(
@@ -102,7 +111,8 @@ class StateEstimator:
         if parameter_covariance is not None:
             self.augmented.covariance = _checked_covariance(parameter_covariance, count)
         self._scale = np.tile(machine.travel_per_unit, 2)
-        # Travel and velocity of the coordinates of the controllers' model; slow loads are estimated beside them.
+        # Travel and velocity of the coordinates of the controllers' model; slow loads are estimated beside
+        # them.
         modeled = [machine.coordinate_names.index(name) for name in model.machine.coordinate_names]
         self._modeled = np.concatenate([modeled, n + np.array(modeled)])
         # Parts of the estimated vector: state, logarithms of parameter ratios, errors of encoders.
@@ -139,15 +149,16 @@ class StateEstimator:
         self._mean = np.zeros((0, len(self._initial_covariance)))
         self._covariance = np.zeros((0, *self._initial_covariance.shape))
         self._effects = np.zeros((0, 0))  # states of the effects at the mean, SI
-        # Of the last measurements: squared innovation over its covariance, this covariance, and what is valid.
+        # Of the last measurements: squared innovation over its covariance, this covariance, and what is
+        # valid.
         self._predicted = np.zeros(0), np.zeros((0, 0, 0)), np.zeros((0, 0), np.bool_)
 
     @property
     def log_likelihood(self) -> Array:
         """Logarithm of the density of the last valid measurements, as predicted from all before, shape (B,).
 
-        Measurements count in m of belt travel. Of estimators with the same sensors, the one under which recordings are
-        more probable describes them better.
+        Measurements count in m of belt travel. Of estimators with the same sensors, the one under which
+        recordings are more probable describes them better.
         """
         squared, covariance, valid = self._predicted
         # Invalid measurements are predicted with the variance of their noise alone.
@@ -157,7 +168,7 @@ class StateEstimator:
 
     @property
     def parameter_ratios(self) -> Array:
-        """Estimated values of the k parameters `augmented.names` divided by the declared values, shape (B, k)."""
+        """Estimates of the k parameters `augmented.names` divided by the declared values, shape (B, k)."""
         return self.augmented.ratios(self._mean[:, self._logarithms])
 
     @property
@@ -171,7 +182,7 @@ class StateEstimator:
         return np.flatnonzero(np.any(self.measurements.matrix[:, beside] != 0.0, axis=1))
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Discard the estimates of machines that start a new episode next; None: of all, whose number may then change.
+        """Discard the estimates of machines that start an episode next; None: of all, whose number may vary.
 
         Their new estimates start from a machine at rest with the declared parameters.
         """
@@ -195,9 +206,10 @@ class StateEstimator:
 
         Args:
             measurements: One measurement per sensor, m or rad, shape (B, channels).
-            arrived: Times of the last period, from 0 to the period, s, shape (k,), and the voltages that reached the
-                drives from each of them on, V, shape (B, k, drives), the last entry repeated; for a recording whose
-                voltages also change between the control periods. Default: the voltages of `send`.
+            arrived: Times of the last period, from 0 to the period, s, shape (k,), and the voltages that
+                reached the drives from each of them on, V, shape (B, k, drives), the last entry repeated; for
+                a recording whose voltages also change between the control periods. Default: the voltages of
+                `send`.
 
         Raises:
             InputError: If a measurement is not finite.
@@ -224,7 +236,7 @@ class StateEstimator:
         return self._mean[:, self._modeled]
 
     def _state_at_rest(self, travel: Array, valid: Mask) -> Array:
-        """Return states (B, 2 n) at rest with unstretched belts, by weighted least squares from the measurements.
+        """Return states (B, 2 n) at rest with unstretched belts, by weighted least squares of measurements.
 
         Deviations of the sensors from a linear measurement are those at the state of the iteration before.
         """
@@ -239,7 +251,7 @@ class StateEstimator:
         return states
 
     def _predict(self, times: Array, volts: Array) -> None:
-        """Propagate mean and covariance over the last period with voltages as of `DeadTime.arrived_history`."""
+        """Propagate mean and covariance over the last period with voltages of `DeadTime.arrived_history`."""
         points = sigma_points(self._mean, self._covariance, self._smallest_std)
         batch, count, _ = points.shape
         flat = points.reshape(batch * count, -1)
@@ -286,7 +298,7 @@ class StateEstimator:
         return PH, HPH + np.diag(self.measurements.variance)
 
     def _inflate(self, innovation_ratio: Array) -> None:
-        """Inflate the covariance where squared innovations are `innovation_ratio` (B,) times their expectation."""
+        """Inflate the covariance where squared innovations are `innovation_ratio` (B,) times the expected."""
         inflation = np.clip(innovation_ratio / INNOVATION_LIMIT, 1.0, LARGEST_INFLATION)[:, None]
         variance = np.diagonal(self._covariance, axis1=1, axis2=2)
         room = self._largest_variance / np.maximum(variance, self._smallest_std**2)
@@ -295,7 +307,7 @@ class StateEstimator:
 
 
 def _checked_covariance(covariance: Array, count: int) -> Array:
-    """Return the covariance as an array; raise InputError unless it is finite, (count, count) and symmetric."""
+    """Return the covariance as array; raise InputError unless it is finite, (count, count) and symmetric."""
     values = np.asarray(covariance, np.float64)
     if values.shape != (count, count) or not np.isfinite(values).all() or not np.allclose(values, values.T):
         raise InputError(
@@ -308,17 +320,19 @@ def _checked_covariance(covariance: Array, count: int) -> Array:
 def sigma_points(mean: Array, covariance: Array, smallest_std: Array) -> Array:
     """Compute the sigma points of B normal distributions of N variables for the DD2 filter.
 
-    These are the mean and, for each column c of the covariance's Cholesky factor, mean + sqrt(3) c and mean - sqrt(3) c
-    (`SIGMA_SQUARED` = 3). DD2 is the filter with second-order divided differences of Norgaard, Poulsen and Ravn (2000).
+    These are the mean and, for each column c of the covariance's Cholesky factor, mean + sqrt(3) c and mean -
+    sqrt(3) c (`SIGMA_SQUARED` = 3). DD2 is the filter with second-order divided differences of Norgaard,
+    Poulsen and Ravn (2000).
 
     Args:
         mean: Means, each in its variable's unit, shape (B, N).
         covariance: Covariances, in products of these units, shape (B, N, N).
-        smallest_std: Standard deviations, in the variables' units, whose squares are added to the variances, so that
-            the points of a variable with zero variance differ as well, shape (N,).
+        smallest_std: Standard deviations, in the variables' units, whose squares are added to the variances,
+            so that the points of a variable with zero variance differ as well, shape (N,).
 
     Returns:
-        Points, in the variables' units: the mean, the N points with +, the N points with -, shape (B, 2 N + 1, N).
+        Points, in the variables' units: the mean, the N points with +, the N points with -,
+        shape (B, 2 N + 1, N).
     """
     diagonal = np.arange(mean.shape[1])
     widened = covariance.copy()
@@ -330,26 +344,27 @@ def sigma_points(mean: Array, covariance: Array, smallest_std: Array) -> Array:
 
 
 def transformed_moments(mapped: Array) -> tuple[Array, Array]:
-    """Estimate the mean and covariance of y = f(x) for normally distributed x by second-order divided differences.
+    """Estimate mean and covariance of y = f(x) for normally distributed x by second divided differences.
 
-    Divided differences need no derivatives, which do not exist where friction reverses. The covariance is a sum of
-    squares and therefore positive semidefinite.
+    Divided differences need no derivatives, which do not exist where friction reverses. The covariance is a
+    sum of squares and therefore positive semidefinite.
 
     Args:
-        mapped: Values of f, with M components in any units, at the `sigma_points` of B distributions of N variables x,
-            shape (B, 2 N + 1, M).
+        mapped: Values of f, with M components in any units, at the `sigma_points` of B distributions of N
+            variables x, shape (B, 2 N + 1, M).
 
     Returns:
         mean: Means of y, in the units of f, shape (B, M).
         covariance: Covariances of y, in products of these units, shape (B, M, M).
 
     References:
-        Norgaard, Poulsen and Ravn (2000), New developments in state estimation for nonlinear systems, Automatica
-        36(11): the DD2 filter.
+        Norgaard, Poulsen and Ravn (2000), New developments in state estimation for nonlinear systems,
+        Automatica 36(11): the DD2 filter.
     """
     count = mapped.shape[1] // 2
     center, above, below = mapped[:, :1], mapped[:, 1 : count + 1], mapped[:, count + 1 :]
-    # Each of shape (B, N, M); the covariance is the sum of the squares of `first` and `second` over the N variables.
+    # Each of shape (B, N, M); the covariance is the sum of the squares of `first` and `second` over the N
+    # variables.
     curvature = above + below - 2.0 * center
     mean = center[:, 0] + curvature.sum(axis=1) / (2.0 * SIGMA_SQUARED)
     first = (above - below) / (2.0 * np.sqrt(SIGMA_SQUARED))

@@ -1,7 +1,8 @@
 """The machine's equations of motion as CasADi expressions, for time-optimal motions.
 
-The equations are those of `hframe_gym.dynamics.Equations`. Coulomb friction is smoothed to F tanh(v / v0), because an
-optimizer needs derivatives. `check_supported` refuses machines for which the expressions would be wrong.
+The equations are those of `hframe_gym.dynamics.Equations`. Coulomb friction is smoothed to F tanh(v / v0),
+because an optimizer needs derivatives. `check_supported` refuses machines for which the expressions would be
+wrong.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from ...machine import AppliedEffect, Hook, Machine, argument_names
 with naming_extra("bound", "time-optimal motions need CasADi"):
     import casadi as ca
 
-# Hooks of an effect that enter the collocation equations, and CasADi's operations that switch between branches.
+# Hooks of an effect that enter the collocation equations, and CasADi's operations that switch between
+# branches.
 MOTION_HOOKS = (
     "force",
     "coulomb",
@@ -42,8 +44,9 @@ SWITCHING_OPERATIONS = (
 class SymbolicModel:
     """A machine's equations of motion as CasADi expressions, with its parameters and the start as symbols.
 
-    States are the belt travel of n coordinates, m, and its rate, m/s, shape (2 n,). An action is the motor voltage of
-    each drive on a scale on which -1 is the lowest and 1 the highest possible voltage, shape (drives,).
+    States are the belt travel of n coordinates, m, and its rate, m/s, shape (2 n,). An action is the motor
+    voltage of each drive on a scale on which -1 is the lowest and 1 the highest possible voltage,
+    shape (drives,).
 
     Args:
         parameters: CasADi symbols of all P parameters in the order of `Machine.parameters`, shape (P,).
@@ -78,7 +81,7 @@ class SymbolicModel:
         return [0.5 * (low + high) + 0.5 * (high - low) * u for low, high, u in parts]
 
     def rate(self, state: Any, action: Any, time: Any) -> Any:
-        """Return the equations of motion as a CasADi expression: the time derivative of the state, shape (2 n,).
+        """Return the equations of motion as a CasADi expression: the state's time derivative, shape (2 n,).
 
         Args:
             state: State, m and m/s.
@@ -88,19 +91,21 @@ class SymbolicModel:
         return self._rate(state, action, time, self._parameters, self._start)
 
     def current_excess(self, state: Any, action: Any) -> list[Any]:
-        """Return (current / limit)^2 - 1, which must be <= 0, dimensionless, of each drive whose current is limited."""
+        """Return (current / limit)^2 - 1, which must be <= 0, dimensionless, of each drive with a limit."""
         voltages, point = self._voltages(action), self._point(state, 0.0)
         current = self._equations.ohmic_current
         return [(current(j, point, voltages[j]) / limit) ** 2 - 1.0 for j, limit in self._current_limits]
 
     def static_excess(self, state: Any, time: Any) -> list[Any]:
-        """Return constraints (expressions that must be <= 0) under which the machine can stay at rest in a position.
+        """Return constraints (expressions that must be <= 0) for the machine to stay at rest in a position.
 
-        A linear coordinate on which no drive acts, such as a carriage between stretched belts, is at rest only if its
-        static friction is not less than the other forces on it. The rates in the state are taken as zero.
+        A linear coordinate on which no drive acts, such as a carriage between stretched belts, is at rest
+        only if its static friction is not less than the other forces on it. The rates in the state are taken
+        as zero.
 
         Returns:
-            Two expressions, N, for each such coordinate: f - F and -f - F, with the force f on it and its friction F.
+            Two expressions, N, for each such coordinate: f - F and -f - F, with the force f on it and its
+            friction F.
         """
         equations = self._equations
         at_rest = ca.vertcat(state[: self._count], ca.SX.zeros(self._count))
@@ -112,7 +117,7 @@ class SymbolicModel:
         return excess
 
     def _point(self, state: Any, time: Any) -> MotionPoint:
-        """Return a point of the motion; effects that integrate displacement have it since the start as their state."""
+        """Return a point of the motion; effects that integrate displacement have it since the start."""
         equations, n = self._equations, self._count
         travel = ca.vertsplit(state[:n])
         states = {}
@@ -123,7 +128,7 @@ class SymbolicModel:
 
 
 def voltage_limits(equations: Equations) -> tuple[list[Any], list[Any]]:
-    """Compute the motor voltages, V, that result from commands of minus and plus the rated voltage, one list each.
+    """Compute the motor voltages, V, for commands of minus and plus the rated voltage, one list each.
 
     They differ from the commands if the machine has effects on its drives, such as an offset or a dead band.
     """
@@ -135,10 +140,10 @@ def check_supported(machine: Machine) -> None:
     """Check that time-optimal motions of a machine can be computed.
 
     Raises:
-        InputError: If the bridge yaws (the tool position then contains a product of coordinates), or if an effect is
-            not supported: a dead time of the drives, an internal state other than the displacement since the start, a
-            motion of a sensor's support instead of the tool, a change of the motor current by another effect than
-            `current_limit`, or a formula that is not differentiable.
+        InputError: If the bridge yaws (the tool position then contains a product of coordinates), or if an
+            effect is not supported: a dead time of the drives, an internal state other than the displacement
+            since the start, a motion of a sensor's support instead of the tool, a change of the motor current
+            by another effect than `current_limit`, or a formula that is not differentiable.
     """
     for effect in machine.effects:
         reason = _unsupported_because(effect)
@@ -171,7 +176,7 @@ def _unsupported_because(effect: AppliedEffect) -> str:
 
 
 def _integrates_displacement(effect: AppliedEffect) -> bool:
-    """Return whether an effect's state is the displacement of its coordinate since the start (eccentric pulley)."""
+    """Return whether an effect's state is the displacement of its coordinate, as of an eccentric pulley."""
     next_state = effect.definition.next_state
     if next_state is None or set(argument_names(next_state)) != {"z", "dq"}:
         return False
@@ -179,7 +184,7 @@ def _integrates_displacement(effect: AppliedEffect) -> bool:
 
 
 def _has_kink(hook: Hook) -> bool:
-    """Return whether a hook's formula switches between branches; |x| is not counted, because it occurs as x |x|."""
+    """Return whether a hook's formula switches between branches; |x| does not count: it occurs as x |x|."""
     symbols = [ca.SX.sym(name) for name in argument_names(hook)]
     formula = ca.Function("hook", symbols, [ca.SX(hook(*symbols))])
     return any(formula.instruction_id(k) in SWITCHING_OPERATIONS for k in range(formula.n_instructions()))

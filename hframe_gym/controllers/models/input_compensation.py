@@ -13,8 +13,8 @@ from ...errors import InputError
 from ...machine import Machine
 
 TABLE_POINTS = 8001  # points of a drive's characteristic between the rated voltages; 3 mV apart at 12 V
-# Slope added to a characteristic so that it can be inverted where it is flat; 0 V then maps to the middle of a dead
-# band.
+# Slope added to a characteristic so that it can be inverted where it is flat; 0 V then maps to the middle of
+# a dead band.
 MINIMUM_SLOPE = 1e-9
 
 
@@ -36,12 +36,13 @@ class DeadTime:
         self._complete_periods = int(self.delay_s / period + 1e-9)
         self.remainder_s = max(self.delay_s - self._complete_periods * period, 0.0)
         if self.delay_s > 0.0:
-            # For `delayed_goals`: the import takes a tenth of a second, which the first control period does not have.
+            # For `delayed_goals`: the import takes a tenth of a second, which the first control period does
+            # not have.
             importlib.import_module("scipy.interpolate")
         self._sent = np.zeros((0, 0, 0))  # V, (B, periods, drives), latest first
 
     def reset(self, mask: Mask) -> None:
-        """Set the delay lines of machines that start an episode to 0 V; all if the number of machines has changed."""
+        """Set the delay lines of machines that start an episode to 0 V; all if their number has changed."""
         if len(self._sent) != len(mask):
             self._sent = np.zeros(
                 (len(mask), self._complete_periods + 2, len(self.machine_without_delay.drives))
@@ -49,7 +50,7 @@ class DeadTime:
         self._sent[mask] = 0.0
 
     def send(self, volts: Volts) -> None:
-        """Put the voltages of the control period that starts now into the delay line, and drop the oldest ones."""
+        """Put the voltages of the period that starts now into the delay line, and drop the oldest ones."""
         self._sent = np.concatenate([volts[:, None], self._sent[:, :-1]], axis=1)
 
     def replace_last(self, volts: Volts) -> None:
@@ -58,25 +59,27 @@ class DeadTime:
 
     @property
     def last_sent(self) -> Array:
-        """Latest commanded or applied voltages (`send`, `replace_last`), V, shape (B, drives) for B machines."""
+        """Latest commanded or applied voltages (`send`, `replace_last`), V, shape (B, drives)."""
         return self._sent[:, 0]
 
     def mean_arrived(self) -> Volts:
-        """Return the mean voltages that acted on the drives during the last period: those sent a dead time before."""
+        """Return the mean voltages that acted on the drives in the last period, sent a dead time before."""
         times, volts = self.arrived_history()
         return np.einsum("k,bkd->bd", np.diff(times) / self.period, volts[:, :-1])
 
     def arrived_history(self) -> tuple[Array, Array]:
-        """Return the piecewise constant voltages that reached the drives, after the dead time, during the last period.
+        """Return the piecewise constant voltages that reached the drives in the last period, after dead time.
 
         Returns:
-            times: k times since the start of the period, s, shape (k,): [0, `remainder_s`, `period`] if the voltages
+            times: k times since the start of the period, s, shape (k,): [0, `remainder_s`, `period`] if the
+            voltages
                 changed within the period, [0, `period`] if the dead time is a multiple of the period.
-            volts: Voltages of B simulated machines from each of these times until the next, V, shape (B, k, drives);
+            volts: Voltages of B simulated machines from each of these times until the next, V,
+            shape (B, k, drives);
                 the last entry repeats the one before it.
         """
-        # With a delay of k complete periods and a remainder, a period begins with the voltages sent k + 1 periods
-        # before it; after the remainder, those sent k periods before it arrive.
+        # With a delay of k complete periods and a remainder, a period begins with the voltages sent k + 1
+        # periods before it; after the remainder, those sent k periods before it arrive.
         k = self._complete_periods
         volts = self._sent[:, [k + 1, k, k]]
         times = np.array([0.0, self.remainder_s, self.period])
@@ -89,8 +92,8 @@ class DeadTime:
             goals: Tool goals now and at the ends of the next P - 1 periods, m, shape (B, P, axes).
 
         Returns:
-            Goals at the dead time from now and at the ends of the periods after it within the preview, m, interpolated
-            between `goals`, shape (B, at most P, axes).
+            Goals at the dead time from now and at the ends of the periods after it within the preview, m,
+            interpolated between `goals`, shape (B, at most P, axes).
 
         Raises:
             InputError: If fewer than two of these times are within the preview.
@@ -110,14 +113,16 @@ class DeadTime:
         return np.asarray(PchipInterpolator(periods, goals, axis=1)(np.minimum(later, periods[-1])))
 
     def pending_history(self) -> tuple[Array, Array]:
-        """Return the piecewise constant voltages that reach the drives from now until the end of the dead time.
+        """Return the piecewise constant voltages that reach the drives from now to the end of the dead time.
 
         Returns:
             times: k times from now, s, shape (k,), from 0 to `delay_s`.
-            volts: Voltages of B simulated machines from each of these times until the next, V, shape (B, k, drives);
+            volts: Voltages of B simulated machines from each of these times until the next, V,
+            shape (B, k, drives);
                 the last entry repeats the one before it.
         """
-        # At first, for the remainder of the delay, the motors still receive the voltages of one period earlier.
+        # At first, for the remainder of the delay, the motors still receive the voltages of one period
+        # earlier.
         times = np.concatenate(
             [[0.0], self.remainder_s + self.period * np.arange(self._complete_periods + 1)]
         )
@@ -160,7 +165,7 @@ class InputInversion:
                 self._tables[j] = (command, motor + MINIMUM_SLOPE * command)
 
     def motor_voltage(self, command: Volts) -> Volts:
-        """Compute the voltages at the motors that commands, at most the rated ones, give after the drives' errors."""
+        """Compute the motor voltages that commands, at most rated ones, give after the drives' errors."""
         return self._mapped(command, inverse=False)
 
     def command(self, motor_voltage: Volts) -> Volts:
@@ -171,7 +176,7 @@ class InputInversion:
         return np.clip(self._mapped(motor_voltage, inverse=True), -self.rated, self.rated)
 
     def _mapped(self, volts: Array, *, inverse: bool) -> Array:
-        """Return the motor voltages for commands, or inversely, (B, drives), V; without a table, both are equal."""
+        """Return motor voltages for commands, or vice versa, (B, drives), V; equal without a table."""
         mapped = volts.copy()
         for j, (command, motor) in self._tables.items():
             x, y = (motor, command) if inverse else (command, motor)

@@ -1,6 +1,7 @@
 """Linear models of batches of different machines, for example as estimated, and their reachability.
 
-`LinearMotion`   Linear models of B machines with different parameters, and the friction that opposes their motion.
+`LinearMotion`   Linear models of B machines with different parameters, and the friction that opposes their
+                 motion.
 `reachability`   Response to voltages, and Gramian, from which voltages to rest in N periods follow.
 """
 
@@ -22,7 +23,7 @@ FRICTION_TRAVEL = 1e-3  # m, position error over which the expected direction of
 
 
 class LinearMotion:
-    """Discrete-time linear models of machines with different parameters, for voltages that are held over a period."""
+    """Discrete-time linear models of machines with different parameters, for voltages held over a period."""
 
     def __init__(self, model: MotionModel, period: float) -> None:
         self._model, self._period = model, period
@@ -30,8 +31,9 @@ class LinearMotion:
         self._extension = (
             model.machine.belt_matrix / model.machine.travel_per_unit
         )  # per belt travel, (belts, n)
-        # Coulomb friction, N, is the value of its parameter over a unit, times the force of this unit. The unit is the
-        # declared value, because voltages are then bit for bit those of the stored scores; 1 N where that is 0.
+        # Coulomb friction, N, is the value of its parameter over a unit, times the force of this unit. The
+        # unit is the declared value, because voltages are then bit for bit those of the stored scores; 1 N
+        # where that is 0.
         owners, factors = zip(
             *(model.machine.untied(f"{name}.coulomb") for name in model.machine.coordinate_names), strict=True
         )
@@ -41,7 +43,7 @@ class LinearMotion:
         self._force_of_unit = np.where(declared, model.coulomb, 1.0)
 
     def matrices(self, parameters: ParameterRows, position: ToolPositions) -> tuple[Array, Array, Array]:
-        """Linearize the machines without Coulomb friction and effects, and discretize them with zero-order hold.
+        """Linearize the machines without Coulomb friction and effects; discretize them with zero-order hold.
 
         Viscous friction and motor constants are taken from the declared machine; masses, belts and radii from
         `parameters`.
@@ -92,8 +94,8 @@ class LinearMotion:
 
 def _exponential(matrices: Array) -> Array:
     """Return the exponentials of many small matrices (B, m, m), by a Taylor series and repeated squaring."""
-    # scipy.linalg.expm gives the same to 1e-11, but works on one matrix at a time: measured on the matrices of the
-    # H-frame (14 x 14), it takes 3.5 times as long for 64 machines and 8 times as long for 512.
+    # scipy.linalg.expm gives the same to 1e-11, but works on one matrix at a time: measured on the matrices
+    # of the H-frame (14 x 14), it takes 3.5 times as long for 64 machines and 8 times as long for 512.
     power = step = matrices / 2**HALVINGS
     result = np.eye(step.shape[1]) + step
     for degree in range(2, TAYLOR_DEGREE + 1):
@@ -114,10 +116,11 @@ def state_scale(states: int) -> Array:
 
 
 def scaled_matrices(A: Array, *inputs: Array) -> tuple[Array, ...]:
-    """Convert the matrices of discrete-time linear systems to scaled states: belt travel / 1 m, velocity / 100 m/s.
+    """Scale the states of discrete-time linear systems: belt travel / 1 m, velocity / 100 m/s.
 
     Args:
-        A: System matrices of the state, belt travel of n coordinates, m, and its velocity, m/s, shape (..., 2 n, 2 n).
+        A: System matrices of the state, belt travel of n coordinates, m, and its velocity, m/s,
+            shape (..., 2 n, 2 n).
         *inputs: Input matrices, m and m/s per unit of the inputs, shape (..., 2 n, inputs).
 
     Returns:
@@ -128,7 +131,7 @@ def scaled_matrices(A: Array, *inputs: Array) -> tuple[Array, ...]:
 
 
 def reachability(A: Array, B: Array, longest: int) -> Iterator[tuple[Array, Array, Array]]:
-    """Yield the responses of linear systems over N = 1, 2, ... periods to voltages and to their initial state.
+    """Yield responses of linear systems over N = 1, 2, ... periods to voltages and to the initial state.
 
     They give the voltages with the least sum of squares that bring a state error z to zero in N periods:
     u_j = -B' A'^(N-1-j) W_N^-1 A^N z in period j = 0, ..., N - 1.
@@ -139,7 +142,8 @@ def reachability(A: Array, B: Array, longest: int) -> Iterator[tuple[Array, Arra
         longest: Largest number of periods N.
 
     Yields:
-        pulse: Response A^(N-1) B of the state after N periods to the voltages of the first one, with scaled states
+        pulse: Response A^(N-1) B of the state after N periods to the voltages of the first one, with scaled
+        states
             (belt travel / 1 m, velocity / 100 m/s), shape (points, 2 n, drives).
         gramian: Reachability Gramian W_N, the sum of A^j B B' A'^j for j < N, shape (points, 2 n, 2 n).
         power: Response A^N of the state after N periods to the initial state, shape (points, 2 n, 2 n).

@@ -1,8 +1,8 @@
-"""Machine model for controller design: full state in belt travel, rigid motion, friction, and operating points.
+"""Machine model for controller design: full state in belt travel, rigid motion, friction, operating points.
 
-All positions are belt travel in m (radius * angle of a rotary coordinate) and all forces act along it, in N, so that x,
-y and the motors have the same scale. The positions of a rotary tool axis are travel as well: `axis_travel` converts
-goals, which environments give in rad. In a *rigid motion* the belts do not stretch.
+All positions are belt travel in m (radius * angle of a rotary coordinate) and all forces act along it, in N,
+so that x, y and the motors have the same scale. The positions of a rotary tool axis are travel as well:
+`axis_travel` converts goals, which environments give in rad. In a *rigid motion* the belts do not stretch.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ from ...machine import (
 )
 
 GRID = (9, 7)  # operating points along x and y; the stiffness is within 5 % of that of the nearest point
-# m/s: the direction of compensated friction is tanh(v / FRICTION_COMPENSATION_SPEED). Far below the speeds of a move,
-# and far above what remains at its end, so that the voltage does not chatter with the sign of noise.
+# m/s: the direction of compensated friction is tanh(v / FRICTION_COMPENSATION_SPEED). Far below the speeds of
+# a move, and far above what remains at its end, so that the voltage does not chatter with the sign of noise.
 FRICTION_COMPENSATION_SPEED = 0.02
 
 
 def axis_travel_per_unit(machine: Machine) -> Array:
-    """Return the belt travel per position of each tool axis: 1, or the radius of a rotary one, m/rad, shape (axes,)."""
+    """Return belt travel per position of tool axes: 1, or a rotary one's radius, m/rad, shape (axes,)."""
     return np.array([machine.coordinate(axis).travel_per_unit for axis in machine.tool_axes])
 
 
 class OperatingPointGrid:
-    """Grid of tool positions for which gains are designed, because the belts' stiffness depends on the position.
+    """Grid of tool positions for which gains are designed, as the belts' stiffness depends on the position.
 
     Attributes:
         points: Tool positions of the grid, 9 x 7 for x and y and 9 for one axis, m, shape (points, axes).
@@ -75,13 +75,13 @@ class OperatingPointGrid:
         self.span: Array = np.array([line[-1] - line[0] for line in self._lines])
 
     def nearest(self, position: ToolPositions) -> NDArray[np.intp]:
-        """Find the operating point that is nearest to each tool position, as an index into `points`, shape (B,)."""
+        """Find the operating point nearest to each tool position, as an index into `points`, shape (B,)."""
         lines = [np.abs(position[:, k : k + 1] - line).argmin(axis=1) for k, line in enumerate(self._lines)]
         return np.asarray(np.ravel_multi_index(tuple(lines), self._shape), np.intp)
 
 
 class MotionModel:
-    """Model for the design of controllers: a machine with n coordinates and one drive per axis, in belt travel.
+    """Model for controller design: a machine with n coordinates and one drive per axis, in belt travel.
 
     Args:
         machine: Machine with the coordinates of its tool (x and y, or one axis) and those of as many drives.
@@ -89,23 +89,26 @@ class MotionModel:
 
     Attributes:
         machine: Machine without the coordinates that effects add.
-        simulated: The same with the loads that swing slowly (`slow_loads`), for simulations (`SimulatedMotion`).
+        simulated: The same with the loads that swing slowly (`slow_loads`), for simulations
+            (`SimulatedMotion`).
         axes: Names of the tool's coordinates, ("x", "y") or one name.
         tool: Indices of these coordinates in the machine's order.
         observed: Coordinate names in the order of a full-state observation.
-        axis_radii: Travel per position of each axis, which is 1 for a linear one, m/m or m/rad, shape (axes,).
-        rigid: Belt travel of every coordinate per meter of each axis with unstretched belts, m/m, shape (n, axes).
+        axis_radii: Travel per position of each axis, which is 1 for a linear one, m/m or m/rad,
+            shape (axes,).
+        rigid: Belt travel of every coordinate per meter of each axis with unstretched belts, m/m,
+            shape (n, axes).
         mass: Mass of every coordinate, of rotary ones inertia / radius^2, kg, shape (n,).
         viscous: Viscous friction coefficients including back-EMF, Ns/m, shape (n,).
         coulomb: Magnitudes of the Coulomb friction forces, N, shape (n,).
         drive: Force on every coordinate per volt of each drive at zero speed, N/V, shape (n, drives).
         rated: Rated voltages, V, shape (drives,).
-        force_per_volt: Forces along the axes per volt of each drive, with belts that do not stretch, N/V, shape
-            (axes, drives).
+        force_per_volt: Forces along the axes per volt of each drive, with belts that do not stretch, N/V,
+            shape (axes, drives).
 
     Raises:
-        InputError: If the machine has other coordinates than those of its tool and its drives, not one drive per axis,
-            drives that cannot push along every axis, or drives that follow a set point.
+        InputError: If the machine has other coordinates than those of its tool and its drives, not one drive
+            per axis, drives that cannot push along every axis, or drives that follow a set point.
     """
 
     def __init__(self, machine: Machine) -> None:
@@ -152,7 +155,7 @@ class MotionModel:
         self._scale = np.tile(units, 2)
 
     def state(self, observation: KeyedObservation) -> TravelStates:
-        """Convert a full-state observation to a state; an InputError refuses one with another number of entries."""
+        """Convert a full-state observation to a state; an InputError refuses another number of entries."""
         values = np.asarray(observation["observation"], np.float64)
         if values.ndim != 2 or values.shape[1] != len(self._order):
             raise InputError(f"observation has shape {values.shape}, it must be (B, {len(self._order)})")
@@ -163,7 +166,7 @@ class MotionModel:
         return (state / self._scale)[:, np.argsort(self._order)]
 
     def axis_travel(self, position: NDArray[Any]) -> ToolPositions:
-        """Convert a tool `position` as environments give it, m or rad, shape (..., axes), to travel along the axes."""
+        """Convert an environment's tool `position`, m or rad, shape (..., axes), to travel along the axes."""
         return np.asarray(position, np.float64) * self.axis_radii
 
     def goal_state(self, goal: NDArray[Any]) -> TravelStates:
@@ -182,11 +185,11 @@ class MotionModel:
         return np.concatenate([state[:, None, len(self.mass) :], ahead], axis=1)
 
     def tool_position(self, travel: Array) -> ToolPositions:
-        """Select the tool position from `travel` of all coordinates, m, or from states, shape (B, n or 2 n)."""
+        """Select tool positions from `travel` of all coordinates, m, or from states, shape (B, n or 2 n)."""
         return travel[:, self.tool]
 
     def elastic_travel(self, travel: Array) -> Array:
-        """Compute how far coordinates are from where they would be if no belt were stretched, m, shape (B, n).
+        """Compute how far coordinates are from where unstretched belts would put them, m, shape (B, n).
 
         Args:
             travel: Travels of all coordinates, m, shape (B, n), or states, shape (B, 2 n).
@@ -208,7 +211,8 @@ class MotionModel:
         Args:
             goal: Tool position of the linearization, m, shape (axes,).
             period: Control period, s.
-            rigid: Whether belts are rigid; the state is then that of `rigid_part`, with 2 axes in place of 2 n entries.
+            rigid: Whether belts are rigid; the state is then that of `rigid_part`, with 2 axes in place of 2
+                n entries.
 
         Returns:
             System matrix of the state, shape (2 n, 2 n), input matrix of the voltages, (2 n, drives), and of
@@ -222,7 +226,8 @@ class MotionModel:
             A, B, E = average @ A @ np.kron(np.eye(2), self.rigid), average @ B, average @ E
         block = np.zeros((len(A) + B.shape[1] + E.shape[1],) * 2)
         block[: len(A)] = np.hstack([A, B, E])
-        # The exponential of [[A, B, E], [0, 0, 0]] * period holds the three discrete-time matrices in its first rows.
+        # The exponential of [[A, B, E], [0, 0, 0]] * period holds the three discrete-time matrices in its
+        # first rows.
         discrete = matrix_exponential(block * period)[: len(A)]
         first, second = len(A), len(A) + B.shape[1]
         return discrete[:, :first], discrete[:, first:second], discrete[:, second:]
@@ -237,7 +242,7 @@ class MotionModel:
         return _stack(self._balance(state, elapsed_s).forces, state)
 
     def friction_force(self, state: TravelStates, elapsed_s: ElapsedTimes) -> CoordinateForces:
-        """Compute the friction force -F tanh(v / (20 mm/s)) and the friction that the machine's effects add to it.
+        """Compute the friction force -F tanh(v / (20 mm/s)) and the friction that effects add to it.
 
         Not included: viscous friction of the nominal model, effects with a memory or a lookup table, and
         effects by which friction grows with the drive force.
@@ -248,7 +253,7 @@ class MotionModel:
         return self._effect_viscous_force(state) - level * self._direction(state)
 
     def effect_friction(self, state: TravelStates, elapsed_s: ElapsedTimes) -> CoordinateForces:
-        """Compute the friction that effects add to the Coulomb friction, negative where it brakes positive motion."""
+        """Compute the friction that effects add to the Coulomb one, negative if it brakes positive motion."""
         return self.friction_force(state, elapsed_s) + self.coulomb * self._direction(state)
 
     def _balance(self, state: Array, elapsed_s: Array) -> ForceBalance:
@@ -269,9 +274,10 @@ class MotionModel:
         return np.tanh(state[:, len(self.mass) :] / FRICTION_COMPENSATION_SPEED)
 
     def static_stretch(self, force: CoordinateForces, goal: ToolPositions) -> Array:
-        """Compute how far the motors must turn to stretch the belts until they balance the force on the resting tool.
+        """Compute how far the motors must turn so that stretched belts balance the force on the resting tool.
 
-        The result is belt travel, m, shape (B, n); it is 0 for the tool axes. Forces on other coordinates are not used.
+        The result is belt travel, m, shape (B, n); it is 0 for the tool axes. Forces on other coordinates are
+        not used.
         """
         if not force.any():
             return np.zeros_like(force)
@@ -307,7 +313,7 @@ class MotionModel:
         return (viscous_impulse + momentum_change) @ self.rigid / period - volts @ self.force_per_volt.T
 
     def top_speed(self) -> Array:
-        """Compute the steady speed along each axis, m/s, shape (axes,), if only it moves, at the rated voltages.
+        """Compute the steady speed along each axis, m/s, shape (axes,), if it moves alone at rated voltage.
 
         It is zero where Coulomb friction exceeds the drive force.
         """
@@ -328,7 +334,7 @@ class MotionModel:
 
 
 def _memoryless(effect: AppliedEffect) -> bool:
-    """Return whether an effect's forces and friction depend on its coordinate's position, velocity and time only."""
+    """Return whether an effect's forces and friction depend on its coordinate's motion and time only."""
     hooks = [getattr(effect.definition, name) for name in ("force", "coulomb", "viscous")]
     arguments = {name for hook in hooks if hook for name in argument_names(hook)}
     return any(hooks) and not {"z", "u", "i", "drive", "load"} & arguments

@@ -1,11 +1,11 @@
-"""Simulation of the machine that a controller's model describes, including the states that no sensor measures.
+"""Simulation of the machine of a controller's model, including the states that no sensor measures.
 
-A state of `MotionModel` holds travel and velocity of the coordinates of tool and drives. The motion also depends on
-states that are not measured, here called the memory of the machine: the states of effects, such as a hysteresis, the
-heat of a winding, or the rotation of an eccentric pulley since the episode started, and the deflection of a load that
-swings slowly on its carriage. If each control period were simulated without the memory of the one before, the
-controller would take the travel that an eccentric pulley adds for a stretched belt, and thus for a force of tens of
-newtons.
+A state of `MotionModel` holds travel and velocity of the coordinates of tool and drives. The motion also
+depends on states that are not measured, here called the memory of the machine: the states of effects, such as
+a hysteresis, the heat of a winding, or the rotation of an eccentric pulley since the episode started, and the
+deflection of a load that swings slowly on its carriage. If each control period were simulated without the
+memory of the one before, the controller would take the travel that an eccentric pulley adds for a stretched
+belt, and thus for a force of tens of newtons.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from .motion_model import MotionModel
 class SimulatedMotion:
     """Simulations of B machines, each from a state of the controller's model and a memory.
 
-    A row of the memories, shape (B, M), holds the deflections of slow loads (m or rad), their rates (m/s or rad/s), and
-    the states of effects (SI). All are zero at the start of an episode, where the machine rests.
+    A row of the memories, shape (B, M), holds the deflections of slow loads (m or rad), their rates (m/s or
+    rad/s), and the states of effects (SI). All are zero at the start of an episode, where the machine rests.
 
     Attributes:
         memory_size: Number M of entries of a memory.
@@ -42,7 +42,8 @@ class SimulatedMotion:
         parameters = list(machine.parameters)
         self._parameter_columns = [parameters.index(name) for name in model.machine.parameters]
         self._parameters = np.array(list(machine.parameters.values()))
-        # Deflection and rate of each load in the memory, and travel and velocity of its carriage in the state.
+        # Deflection and rate of each load in the memory, and travel and velocity of its carriage in the
+        # state.
         sites = {e.coordinate: e.site for e in machine.effects if e.definition.reaction}
         carriages = np.array([modeled.index(sites[names[i]]) for i in loads], np.intp)
         self._load_columns = np.arange(2 * len(loads))
@@ -91,8 +92,9 @@ class SimulatedMotion:
     def corrected(self, memory: Array, simulated: TravelStates, measured: TravelStates) -> Array:
         """Correct simulated memories by measured states.
 
-        Where the carriage of a load is measured ahead of its simulation, the load itself is assumed to be where the
-        simulation has it: its deflection from the carriage is smaller by the difference, and so is its rate.
+        Where the carriage of a load is measured ahead of its simulation, the load itself is assumed to be
+        where the simulation has it: its deflection from the carriage is smaller by the difference, and so is
+        its rate.
 
         Args:
             memory: Memories with which the simulation ends, shape (B, M).

@@ -1,8 +1,8 @@
-"""Loads that swing on the carriages of a machine: their motion and their force follow from the motion of the carriage.
+"""Loads that swing on the carriages of a machine: their motion and force follow from the carriage's.
 
-No sensor sees such a load. It is an oscillator that the acceleration of its carriage drives; if it rests when an
-episode starts, the velocities of the carriage tell its motion. A controller is designed for the carriage without the
-load (`rigid_counterpart`), and knows the force of the load ahead.
+No sensor sees such a load. It is an oscillator that the acceleration of its carriage drives; if it rests when
+an episode starts, the velocities of the carriage tell its motion. A controller is designed for the carriage
+without the load (`rigid_counterpart`), and knows the force of the load ahead.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ class SwingingLoads:
         period: Control period, s.
 
     Attributes:
-        last_force: Mean force of the loads on each coordinate in the last period, N along the belt travel, shape
-            (B, n) for the n coordinates of the machine without the loads.
+        last_force: Mean force of the loads on each coordinate in the last period, N along the belt travel,
+            shape (B, n) for the n coordinates of the machine without the loads.
     """
 
     def __init__(self, machine: Machine, period: float) -> None:
@@ -61,19 +61,20 @@ class SwingingLoads:
         self._state[starts] = 0.0
 
     def forces(self, velocities: Array) -> Array:
-        """Return the mean forces on each coordinate in coming periods, N along the belt travel, shape (B, H, n).
+        """Return mean forces on the coordinates in coming periods, N along the belt travel, shape (B, H, n).
 
         Args:
-            velocities: Velocities of the coordinates now and at the ends of the H periods, m/s, shape (B, 1 + H, n).
+            velocities: Velocities of the coordinates now and at the ends of the H periods, m/s,
+                shape (B, 1 + H, n).
         """
         return self._moved(velocities)[0]
 
     def coming_force(self, state: TravelStates) -> CoordinateForces:
-        """Return the mean forces on each coordinate in the coming period, if its velocity stays as in the state, N."""
+        """Return the mean forces on each coordinate in the coming period, N, if its velocity is constant."""
         return self.forces(np.repeat(state[:, None, self._count :], 2, axis=1))[:, 0]
 
     def _moved(self, velocities: Array) -> tuple[Array, Array]:
-        """Return mean forces (B, H, n) in periods with velocities (B, 1 + H, n) at their ends, and the last state."""
+        """Return mean forces (B, H, n) in periods from velocities (B, 1 + H, n), and the last state."""
         accelerations = np.diff(velocities, axis=1) / self._period
         forces, states = np.zeros_like(accelerations), self._state.copy()
         for k, (site, unit, (free, driven, reaction)) in enumerate(
@@ -89,7 +90,7 @@ class SwingingLoads:
 
 
 def _discrete_motion(load: AppliedEffect, mass: float, period: float) -> tuple[Array, Array, Array]:
-    """Return how a load moves over a period, freely (2, 2) and driven by an acceleration (2,), and its force (2,)."""
+    """Return a load's motion over a period, free (2, 2) and from an acceleration (2,), and its force (2,)."""
     zero = {"q": 0.0, "v": 0.0, "m": mass, "net": 0.0}
     rates = np.zeros((3, 3))
     rates[0, 1] = 1.0

@@ -1,34 +1,36 @@
-"""Finite-horizon optimal control: minimum-energy transfers to a fixed goal, and preview control of a moving goal.
+"""Finite-horizon optimal control: minimum-energy transfers to a fixed goal, preview control of a moving one.
 
 Minimum-energy transfers (feedback gains of motions from point to point)
-    A transfer of N periods is a motion that brings the state to rest at the goal within N control periods. With
-    voltages constant over each period, the state error after N periods is A^N e + sum_j A^(N-1-j) B u_j. Of all
-    voltages that bring the error to zero in N periods, those with the least sum of squares are
+    A transfer of N periods is a motion that brings the state to rest at the goal within N control periods.
+    With voltages constant over each period, the state error after N periods is A^N e + sum_j A^(N-1-j) B u_j.
+    Of all voltages that bring the error to zero in N periods, those with the least sum of squares are
 
         u_j = -B' A'^(N-1-j) W_N^-1 A^N e,      W_N = sum_j A^j B B' A'^j,
 
-    and for each number of periods to go the first of them is a feedback gain on the full state. The shortest transfer
-    whose voltages stay within the limits comes close to the time optimum because back-EMF makes the stage viscous:
-    minimum energy then means constant voltage during the cruise and an exponential brake that ends at the same voltage
-    with opposite sign. The belt modes are part of A, so that they are at rest at the end of a transfer, unless all of
-    them are above half the control rate. Near that rate a vibration hardly differs, at the sampling instants, from the
-    motion of rigid belts. Gains that tell both apart would be large, and unstable where the stiffness of the belts is
-    another one by a few percent; A is then that of rigid belts, which transmit what the drives do within a period.
+    and for each number of periods to go the first of them is a feedback gain on the full state. The shortest
+    transfer whose voltages stay within the limits comes close to the time optimum because back-EMF makes the
+    stage viscous: minimum energy then means constant voltage during the cruise and an exponential brake that
+    ends at the same voltage with opposite sign. The belt modes are part of A, so that they are at rest at the
+    end of a transfer, unless all of them are above half the control rate. Near that rate a vibration hardly
+    differs, at the sampling instants, from the motion of rigid belts. Gains that tell both apart would be
+    large, and unstable where the stiffness of the belts is another one by a few percent; A is then that of
+    rigid belts, which transmit what the drives do within a period.
 
 Preview control (a least-squares plan over the previewed goals, renewed every period)
-    With a force f on each coordinate the state follows z+ = A z + B u + E f. Of all voltages over the H previewed
-    periods the plan takes those that minimize
+    With a force f on each coordinate the state follows z+ = A z + B u + E f. Of all voltages over the H
+    previewed periods the plan takes those that minimize
 
         sum_j |C z_j - g_j|^2 + w^2 sum_j |u_j - u_(j-1)|^2,        C z: tool position, g: goal,
 
-    and applies the first. Solved once for each operating point, this is a constant gain on the state, on the goals
-    (feedforward of velocity, acceleration, back-EMF and belt stretch, which are all part of A and B), on the last
-    voltage and on the forces: the modeled friction along the path and, in place of an integrator, the estimated
-    disturbance.
+    and applies the first. Solved once for each operating point, this is a constant gain on the state, on the
+    goals (feedforward of velocity, acceleration, back-EMF and belt stretch, which are all part of A and B),
+    on the last voltage and on the forces: the modeled friction along the path and, in place of an integrator,
+    the estimated disturbance.
 
 References:
-    Kleinman (1970), An easy way to stabilize a linear constant system, IEEE Transactions on Automatic Control 15(6).
-    Tomizuka (1975), Optimal continuous finite preview problem, IEEE Transactions on Automatic Control 20(3).
+    Kleinman (1970), An easy way to stabilize a linear constant system, IEEE Transactions on Automatic Control
+    15(6). Tomizuka (1975), Optimal continuous finite preview problem, IEEE Transactions on Automatic Control
+    20(3).
 """
 
 from __future__ import annotations
@@ -45,30 +47,31 @@ from ..control_period import check_period, shorter_period
 from ..models.linear_motion import reachability, state_scale
 from ..models.motion_model import MotionModel, OperatingPointGrid
 
-# Shortest transfer in periods of the slowest belt mode; a shorter one needs the mode's frequency more accurately than a
-# model has it.
+# Shortest transfer in periods of the slowest belt mode; a shorter one needs the mode's frequency more
+# accurately than a model has it.
 SHORTEST_MODE_PERIODS = 0.6
 LONGEST_MARGIN = 1.3  # longest transfer over the time that the longest way takes at top speed
 MAX_TRANSFER_S = 10.0  # s, longest transfer of a stage that friction leaves without a top speed
-# Periods at the end of a transfer whose voltages are checked against the limits, beside the first; the voltage of the
-# cruise is largest in the first period.
+# Periods at the end of a transfer whose voltages are checked against the limits, beside the first; the
+# voltage of the cruise is largest in the first period.
 CHECKED_FINAL_PERIODS = 7
-# m/V, the weight w: tool error that is as costly as a voltage change of 1 V. Tuned: a smaller weight makes the voltages
-# more active and the tool no more accurate.
+# m/V, the weight w: tool error that is as costly as a voltage change of 1 V. Tuned: a smaller weight makes
+# the voltages more active and the tool no more accurate.
 VOLTAGE_CHANGE_WEIGHT = 3e-5
-# s, time constant of the disturbance estimate. Tuned: smaller values ring where belts are 40 % softer than the model's.
+# s, time constant of the disturbance estimate. Tuned: smaller values ring where belts are 40 % softer than
+# the model's.
 DISTURBANCE_TIME_CONSTANT_S = 0.028
 HORIZON_S = 0.1  # s; goals farther ahead do not change the first voltage
 
 
 def longest_transfer_s(model: MotionModel, grid: OperatingPointGrid) -> float:
-    """Estimate the time of the longest point-to-point motion in the workspace, s, an upper limit of planned durations.
+    """Estimate the time of the workspace's longest point-to-point motion, s, a limit of planned durations.
 
-    It is 1.3 (`LONGEST_MARGIN`) times the longer of two times, or 10 s (`MAX_TRANSFER_S`) if the drives cannot overcome
-    Coulomb friction along an axis. One is the time along both sides of the workspace at top speed. The other one limits
-    axes that a drive of current or torque, without back-EMF, would take to any speed: the force of the minimum-energy
-    motion from rest to rest of a mass over the distance d falls linearly from its largest value F to -F, which takes
-    sqrt(6 d m / F).
+    It is 1.3 (`LONGEST_MARGIN`) times the longer of two times, or 10 s (`MAX_TRANSFER_S`) if the drives
+    cannot overcome Coulomb friction along an axis. One is the time along both sides of the workspace at top
+    speed. The other one limits axes that a drive of current or torque, without back-EMF, would take to any
+    speed: the force of the minimum-energy motion from rest to rest of a mass over the distance d falls
+    linearly from its largest value F to -F, which takes sqrt(6 d m / F).
     """
     top_speed = model.top_speed()
     if top_speed.min() <= 0.0:
@@ -91,10 +94,10 @@ class TransferSelection(NamedTuple):
 
 
 class TransferDesign:
-    """Design of minimum-energy transfers, of `shortest` to `longest` periods, and the gains of their first periods.
+    """Design of minimum-energy transfers, of `shortest` to `longest` periods, and their first gains.
 
-    A transfer is a motion that brings the machine to rest at its goal. An operating point is a tool position at which
-    the machine is linearized.
+    A transfer is a motion that brings the machine to rest at its goal. An operating point is a tool position
+    at which the machine is linearized.
 
     Raises:
         InputError: If the period is not positive, or the machine's workspace has no range.
@@ -135,10 +138,10 @@ class TransferDesign:
     def _costates(
         self, matrices: Sequence[tuple[Array, Array]], durations: Collection[int]
     ) -> Iterator[tuple[int, Array, Array]]:
-        """Yield N = 1, 2, ..., the pulse response over N periods, and the error's costate if N is one of the durations.
+        """Yield N = 1, 2, ..., the pulse response over N periods, and the error's costate if N is a duration.
 
-        The voltages of a transfer of N periods are minus the transposed pulse responses times its costate. For other N,
-        the costate is empty.
+        The voltages of a transfer of N periods are minus the transposed pulse responses times its costate.
+        For other N, the costate is empty.
         """
         A, B = (np.stack(by_point) for by_point in zip(*matrices, strict=True))
         scale = state_scale(A.shape[1])
@@ -157,9 +160,9 @@ class MinimumEnergyTransfers(TransferDesign):
     """Feedback gains of minimum-energy transfers, for every operating point and every number of periods.
 
     Attributes:
-        gains: Gains from the state error at the start of a transfer to its voltages, V/m and Vs/m, shape (points,
-            longest - shortest + 1, 1 + CHECKED_FINAL_PERIODS, drives, 2 n). Third axis: first period of the transfer,
-            then its last CHECKED_FINAL_PERIODS periods.
+        gains: Gains from the state error at the start of a transfer to its voltages, V/m and Vs/m, shape
+            (points, longest - shortest + 1, 1 + CHECKED_FINAL_PERIODS, drives, 2 n). Third axis: first period
+            of the transfer, then its last CHECKED_FINAL_PERIODS periods.
     """
 
     def __init__(self, model: MotionModel, period: float) -> None:
@@ -183,7 +186,7 @@ class MinimumEnergyTransfers(TransferDesign):
         limits: tuple[Array, Array],
         at_least: NDArray[np.intp],
     ) -> TransferSelection:
-        """Select for each machine the shortest motion to rest at its goal whose voltages stay within the limits.
+        """Select each machine's shortest motion to rest at its goal whose voltages stay within the limits.
 
         The limits are checked in the first period and in the last 7 periods of a motion. Where no motion
         stays within them, the longest one is selected, which exceeds them. The shape is (B,) or (B, drives).
@@ -198,8 +201,8 @@ class MinimumEnergyTransfers(TransferDesign):
         lowest, highest = limits
         # Indices of numbers of periods, between which the shortest admissible transfer is.
         low, high = at_least - self.shortest, np.full(len(error), self.gains.shape[1] - 1)
-        # Bisection, because a longer transfer needs less voltage. With ringing belts that can fail by a period; the
-        # selected transfer is then slightly longer than the shortest admissible one.
+        # Bisection, because a longer transfer needs less voltage. With ringing belts that can fail by a
+        # period; the selected transfer is then slightly longer than the shortest admissible one.
         while np.any(low < high):
             middle = (low + high) // 2
             # Voltages of the k checked periods, (B, k, drives).
@@ -214,9 +217,10 @@ class MinimumEnergyTransfers(TransferDesign):
 
 
 class PreviewGains:
-    """Gains of preview control: they give the first voltage of the least-squares plan at each operating point.
+    """Gains of preview control: they give the least-squares plan's first voltage at each operating point.
 
-    An operating point is a tool position at which the machine is linearized. The state is that of `TravelStates`.
+    An operating point is a tool position at which the machine is linearized. The state is that of
+    `TravelStates`.
 
     Args:
         period: Control period, s.
@@ -230,7 +234,8 @@ class PreviewGains:
         force: Gains on the force on each coordinate in each period, V/N, shape (points, drives, n H).
         A: Discrete-time system matrices, shape (points, 2 n, 2 n).
         B: Discrete-time input matrices of the voltages, m/V and m/(Vs), shape (points, 2 n, drives).
-        E: Discrete-time input matrices of the forces on the coordinates, m/N and m/(Ns), shape (points, 2 n, n).
+        E: Discrete-time input matrices of the forces on the coordinates, m/N and m/(Ns),
+            shape (points, 2 n, n).
     """
 
     def __init__(
@@ -251,7 +256,7 @@ class PreviewGains:
             powers.append(powers[-1] @ A)
 
         def impulse_response(G: Array) -> Array:
-            """Return the tool's response at each period's end to inputs by G (2 n, m) in each, (axes * H, m * H)."""
+            """Return the tool's response at the periods' ends to inputs by G (2 n, m), (axes * H, m * H)."""
             axes, m = powers[0].shape[0], G.shape[1]
             response = np.zeros((horizon, axes, horizon, m))
             for delay, power in enumerate(powers[:horizon]):
@@ -278,8 +283,8 @@ class PreviewTracker:
 
     Args:
         period: Control period, s.
-        goals: Number of previewed goals (one per control period) that `command` receives; those more than 0.1 s
-            ahead are not used.
+        goals: Number of previewed goals (one per control period) that `command` receives; those more than
+            0.1 s ahead are not used.
 
     Attributes:
         horizon: Number of previewed goals that are used, H.
@@ -307,7 +312,8 @@ class PreviewTracker:
             self._planned_force = self._disturbance = np.zeros((len(after), len(self.model.mass)))
         points = self.grid.nearest(self.model.tool_position(before))
         predicted = _matvec(self.gains.A[points], before) + _matvec(self.gains.B[points], volts)
-        # Force that explains the prediction error, beyond the force that the plan assumed for this period, N, (B, n).
+        # Force that explains the prediction error, beyond the force that the plan assumed for this period, N,
+        # (B, n).
         residual = _matvec(self._force_from_residual[points], after - predicted) - self._planned_force
         self._disturbance = np.where(starts[:, None], 0.0, self._disturbance + self._filter_gain * residual)
 
@@ -317,8 +323,8 @@ class PreviewTracker:
         """Compute the motor voltages, within the rated ones, that follow the previewed goals from now on.
 
         Args:
-            goals: Tool goals now and at the end of each following period, m, shape (B, 1 + H or more, axes) for H =
-                `horizon`; further goals are ignored.
+            goals: Tool goals now and at the end of each following period, m, shape (B, 1 + H or more, axes)
+                for H = `horizon`; further goals are ignored.
             last: Motor voltages of the previous period. The plan penalizes changes from them.
             loads: Forces of swinging loads in these periods, N, shape (B, H or more, n).
         """
@@ -328,14 +334,16 @@ class PreviewTracker:
         midpoint = 0.5 * (goals[:, 1:] + goals[:, :-1])
         path = np.concatenate([midpoint @ model.rigid.T, velocity @ model.rigid.T], axis=2)  # (B, H, 2 n)
         path = path.reshape(len(state) * H, -1)
-        # Friction and effects are evaluated at the middle of each period on the goal's path with unstretched belts.
+        # Friction and effects are evaluated at the middle of each period on the goal's path with unstretched
+        # belts.
         times = (elapsed_s[:, None] + self.period * (0.5 + np.arange(H))).ravel()
         modeled = (model.friction_force(path, times) + model.effect_force(path, times)).reshape(
             len(state), H, -1
         )
         force = modeled + loads[:, :H] + self._disturbance[:, None]
         self._planned_force = force[:, 0]
-        # The plan's first voltages: feedback of the state and the last voltages, feedforward of goals and forces.
+        # The plan's first voltages: feedback of the state and the last voltages, feedforward of goals and
+        # forces.
         points, gains = self.grid.nearest(goals[:, 0]), self.gains
         volts = _matvec(gains.state[points], state) + _matvec(gains.last[points], last)
         volts += _matvec(gains.goal[points], goals[:, 1:].reshape(len(state), -1))

@@ -1,9 +1,11 @@
 """Plans of a predictive controller for batches of different machines: voltages that arrive in time.
 
-`ArrivalPlanner`   Voltages within their limits that bring the tool to its goal in K periods and keep it there (the
-                   solution of a quadratic program for each machine); the belts come to rest after the tool.
-`PlanSimulation`   Simulation of plans, and correction of the last periods of a plan by simulations. They contain static
-                   friction, which decides where a tool stops that approaches its goal by a tenth of a millimeter.
+`ArrivalPlanner`   Voltages within their limits that bring the tool to its goal in K periods and keep it there
+                   (the solution of a quadratic program for each machine); the belts come to rest after the
+                   tool.
+`PlanSimulation`   Simulation of plans, and correction of the last periods of a plan by simulations. They
+                   contain static friction, which decides where a tool stops that approaches its goal by a
+                   tenth of a millimeter.
 
 References:
     Boyd and Vandenberghe (2004), Convex Optimization, section 5.5 (the dual problem).
@@ -24,15 +26,16 @@ from ..models.motion_model import MotionModel
 from ..models.simulated_motion import SimulatedMotion
 
 Indices = NDArray[np.intp]
-# Arrival: unit of the tool's errors, m, weight of the belts' motion at the end of the plan, and of the voltages as
-# fractions of their limits. The tool's error counts most.
+# Arrival: unit of the tool's errors, m, weight of the belts' motion at the end of the plan, and of the
+# voltages as fractions of their limits. The tool's error counts most.
 TOOL_UNIT, REST_WEIGHT, EFFORT_WEIGHT = 1e-4, 0.1, 1e-2
 # Time in which the tool is held at its goal in the plan, in periods of the slowest belt mode.
 REST_MODE_PERIODS = 1.2
-# Newton's method on the dual problem: maximum number of steps, step lengths that are tried, largest slope at the end.
+# Newton's method on the dual problem: maximum number of steps, step lengths that are tried, largest slope at
+# the end.
 NEWTON_STEPS, STEP_LENGTHS, CONVERGED = 10, (1.0, 0.4, 0.1), 1e-7
-# Refinement: steps of the differences, V, which reach across static friction; error per sample that costs about as much
-# as a larger one, in SAMPLE_UNIT; damping of the tried corrections with their lengths.
+# Refinement: steps of the differences, V, which reach across static friction; error per sample that costs
+# about as much as a larger one, in SAMPLE_UNIT; damping of the tried corrections with their lengths.
 VOLTAGE_STEPS = (0.1, 0.2, 0.4)
 SAMPLE_UNIT, ROBUST_UNITS, LARGE_WEIGHT = 2e-5, 10.0, 0.02
 CORRECTIONS = ((1e-2, 1.0), (1e-2, 0.5), (1.0, 1.0), (30.0, 1.0))
@@ -43,10 +46,10 @@ class ArrivalPlan(NamedTuple):
     """Plans of B machines.
 
     Attributes:
-        volts: Motor voltages of the control periods from now on, V, shape (B, periods, drives), where periods is the
-            length of the longest plan that the planner can make; zero after the end of a shorter plan.
-        error: Largest predicted distance of the tool to its goal from its arrival on, m, shape (B,). A large distance
-            means that the tool cannot arrive so early.
+        volts: Motor voltages of the control periods from now on, V, shape (B, periods, drives), where periods
+            is the length of the longest plan that the planner can make; zero after the end of a shorter plan.
+        error: Largest predicted distance of the tool to its goal from its arrival on, m, shape (B,). A large
+            distance means that the tool cannot arrive so early.
     """
 
     volts: Array
@@ -75,8 +78,9 @@ class ArrivalPlanner:
         Call it in every control period before `plan` and `gain`. The prediction covers the longest plan.
 
         Args:
-            matrices: A, B and E of the model, next error = A error + B voltages + E force, in m, s, V and N, of the
-                shapes (B, 2 n, 2 n), (B, 2 n, drives) and (B, 2 n, n); `LinearMotion.matrices` computes them.
+            matrices: A, B and E of the model, next error = A error + B voltages + E force, in m, s, V and N,
+                of the shapes (B, 2 n, 2 n), (B, 2 n, drives) and (B, 2 n, n); `LinearMotion.matrices`
+                computes them.
             force: Force on each coordinate until the tool arrives, for example friction.
         """
         A, pulse, force_response = scaled_matrices(*matrices)
@@ -92,10 +96,11 @@ class ArrivalPlanner:
         self._pushed = np.cumsum(np.stack(pushes, axis=1), axis=1)  # sum of A^i E f for i < j
 
     def plan(self, arrival: Indices) -> ArrivalPlan:
-        """Compute voltages that bring the tools of B machines to their goals in K control periods and keep them there.
+        """Compute voltages that bring B tools to their goals in K control periods and keep them there.
 
-        The motion starts from the state that was passed to `predict`. The plan has K + H control periods: it ends H
-        periods after the arrival. H covers 1.2 periods of the slowest vibration of the belts, and is at least 3.
+        The motion starts from the state that was passed to `predict`. The plan has K + H control periods: it
+        ends H periods after the arrival. H covers 1.2 periods of the slowest vibration of the belts, and is
+        at least 3.
 
         Args:
             arrival: Number K of control periods until the tool arrives, 1 or more, shape (B,).
@@ -112,7 +117,7 @@ class ArrivalPlanner:
         return ArrivalPlan(volts, distance)
 
     def gain(self, arrival: Indices) -> Array:
-        """Compute the derivative, with respect to the state, of the voltages of the first period of `plan(arrival)`.
+        """Compute the derivative of the first period's voltages of `plan(arrival)` with respect to the state.
 
         Args:
             arrival: Number K of control periods until the tool arrives, 1 or more, shape (B,).
@@ -138,7 +143,7 @@ class ArrivalPlanner:
         return actions * self._model.rated[:, None] / self._scale
 
     def _residuals(self, arrival: Indices) -> tuple[Array, Array]:
-        """Return R (B, rows, actions) and c (B, rows) of the residuals R a + c of plans with an arrival (B,)."""
+        """Return R (B, rows, actions) and c (B, rows) of the residuals R a + c of plans with arrivals."""
         end, tool = arrival + self._hold, self._model.tool
         rows, constants = [], []
         for after in range(self._hold):
@@ -153,7 +158,7 @@ class ArrivalPlanner:
         )
 
     def _response(self, time: Indices, periods: int, arrival: Indices) -> tuple[Array, Array]:
-        """Return the response (B, 2 n, periods * drives) of the state at times (B,), in periods, and the state at 0 V.
+        """Return responses (B, 2 n, periods * drives) of states at times (B,), in periods, and states at 0 V.
 
         The force acts until the arrival (B,).
         """
@@ -170,7 +175,7 @@ class ArrivalPlanner:
 
 
 def _least_squares_within_limits(R: Array, c: Array) -> Array:
-    """Return a within [-1, 1] that minimizes |R a + c|^2 + EFFORT_WEIGHT |a|^2 for each machine, shape (B, columns).
+    """Return a in [-1, 1] that minimizes |R a + c|^2 + EFFORT_WEIGHT |a|^2 per machine, shape (B, columns).
 
     Newton's method on the dual problem, which has as many unknowns as R has rows and no limits.
     """
@@ -241,16 +246,18 @@ class PlanSimulation:
     ) -> Array:
         """Choose the best of several plans by simulation, and improve it.
 
-        The cost of a plan is a sum over the simulated times from the end of period K on. Each term grows with the
-        distance of the tool from its goal, more slowly for large distances. Gauss-Newton iterations, with derivatives
-        by finite differences, reduce the cost.
+        The cost of a plan is a sum over the simulated times from the end of period K on. Each term grows with
+        the distance of the tool from its goal, more slowly for large distances. Gauss-Newton iterations, with
+        derivatives by finite differences, reduce the cost.
 
         Args:
             memory: Memories of the machines (`SimulatedMotion`), shape (B, M).
-            plans: One array per plan, at least one: commanded voltages of each period, V, shape (B, periods, drives).
+            plans: One array per plan, at least one: commanded voltages of each period, V,
+                shape (B, periods, drives).
             arrival: Number K of periods until the tool should have arrived, shape (B,).
-            count: Number of periods since the start of the episode. It selects the finite-difference steps, whose size
-                and sign change from period to period so that some of them overcome static friction.
+            count: Number of periods since the start of the episode. It selects the finite-difference steps,
+                whose size and sign change from period to period so that some of them overcome static
+                friction.
 
         Returns:
             Commanded voltages of the improved plan, V, shape (B, periods, drives).
@@ -294,7 +301,7 @@ class PlanSimulation:
 
 
 class _TriedPlan(NamedTuple):
-    """Plans (B, periods, drives), V, with their residuals (B, samples, axes) in SAMPLE_UNIT and costs (B,)."""
+    """Plans (B, periods, drives), V, their residuals (B, samples, axes) in SAMPLE_UNIT and costs (B,)."""
 
     volts: Array
     residual: Array

@@ -1,13 +1,15 @@
 """Transfers to rest of machines as estimated, planned anew in every period and corrected by simulations.
 
-`MinimumEnergyTransfers` are designed once, for the declared machine, and leave Coulomb friction out. Here each of B
-machines has parameters of its own, which an estimator changes from period to period, and friction is part of the plan:
+`MinimumEnergyTransfers` are designed once, for the declared machine, and leave Coulomb friction out. Here
+each of B machines has parameters of its own, which an estimator changes from period to period, and friction
+is part of the plan:
 
-Linear plan   The voltages with the least sum of squares that bring the linear model to rest at the goal in N periods,
-              against a constant friction force that opposes the motion.
-Simulation    Friction reverses within a motion, and static friction decides where a tool stops that is a tenth of a
-              millimeter from its goal. Plans that end soon are simulated with the estimated parameters; the linear
-              model corrects them by the error of the state at their end (shooting, a few iterations).
+Linear plan   The voltages with the least sum of squares that bring the linear model to rest at the goal in N
+              periods, against a constant friction force that opposes the motion.
+Simulation    Friction reverses within a motion, and static friction decides where a tool stops that is a
+              tenth of a millimeter from its goal. Plans that end soon are simulated with the estimated
+              parameters; the linear model corrects them by the error of the state at their end (shooting, a
+              few iterations).
 
 The derivative of the voltages with respect to the state is that of the linear plan.
 
@@ -33,8 +35,8 @@ SIMULATED_PERIODS, CORRECTIONS = 6, 5  # longest plan that is simulated, and how
 SHORTER = 0.5  # factor of a correction after one that did not help
 CORRECTION_STEP_S = 1e-3  # s, integration step; the corrections need no higher accuracy
 SWITCHING_S = 1e-9  # s, length of the interval in which the last voltage is applied, for a dead time
-# m/V: final error (velocities in units of 0.1 m/s per mm) that is as costly as 1 V. It matters for plans of so few
-# periods that they cannot bring every state to rest.
+# m/V: final error (velocities in units of 0.1 m/s per mm) that is as costly as 1 V. It matters for plans of
+# so few periods that they cannot bring every state to rest.
 FINAL_ERROR = 1e-6
 
 
@@ -51,10 +53,11 @@ class PlannedTransfers(NamedTuple):
 
 
 class SimulatedTransfers:
-    """Planner of motions to rest at the goal in given numbers of periods, for B machines with different parameters.
+    """Planner of motions to rest at the goal in given numbers of periods, for B machines, which may differ.
 
     Args:
-        model: Model of the machine with its declared parameters, n coordinates; the simulations contain its effects.
+        model: Model of the machine with its declared parameters, n coordinates; the simulations contain its
+            effects.
         period: Control period, s.
         durations: Numbers of periods of the K transfers, positive, ascending.
 
@@ -85,10 +88,11 @@ class SimulatedTransfers:
         last_volts: Volts,
         memory: Array | None = None,
     ) -> PlannedTransfers:
-        """Plan motions from the present states to rest at the goals, one for each of the planner's K durations.
+        """Plan motions from present states to rest at the goals, one for each of the planner's K durations.
 
         Plans of up to SIMULATED_PERIODS = 6 periods are corrected by simulations of the machines with their
-        effects. The last voltages still act during the dead time of the drives. `PlannedTransfers` states the shapes.
+        effects. The last voltages still act during the dead time of the drives. `PlannedTransfers` states the
+        shapes.
 
         Args:
             memory: Memories of the machines (`SimulatedMotion`), shape (B, M). Default: those at rest.
@@ -111,7 +115,8 @@ class SimulatedTransfers:
             # A simulation that diverges counts as an error of 1 m or 100 m/s.
             final_error = np.nan_to_num(final_error, nan=1.0, posinf=1.0, neginf=-1.0)
             distance = np.linalg.norm(final_error, axis=2)
-            # A plan that ends farther away than the one before is not used; the next correction is then shorter.
+            # A plan that ends farther away than the one before is not used; the next correction is then
+            # shorter.
             closer = distance < smallest
             best = np.where(closer[..., None], planned[:, :count], best)
             smallest = np.minimum(distance, smallest)
@@ -150,7 +155,7 @@ class SimulatedTransfers:
         parameters: Array,
         last_volts: Array,
     ) -> Array:
-        """Simulate the plans that end soon, within the voltage limits; return the states at their ends (B, k, 2 n)."""
+        """Simulate the plans that end soon, within the voltage limits; return the last states (B, k, 2 n)."""
         periods, rated = int(self._simulated[-1]), self._model.rated
         remaining = self._simulated[:, None] - 1 - np.arange(periods)
         by_period = np.where((remaining >= 0)[..., None, None], pulse[:, np.maximum(remaining, 0)], 0.0)

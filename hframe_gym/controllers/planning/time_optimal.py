@@ -1,17 +1,18 @@
-"""Time-optimal motions: the shortest time in which any controller can bring the tool into a band around its goal.
+"""Time-optimal motions: the shortest time in which a controller can bring the tool close to its goal.
 
-Direct collocation with Radau points: a motion of free duration T from rest into the band, followed by `HOLD_S` in which
-the tool stays in the band and at whose end everything is at rest, the belts' forces held by friction and motors.
-Voltages are held over each interval within the rated ones, and T is minimized. T ends when the tool enters the band for
-the last time, usually at speed, exactly as a settling time does; it does not include coming to rest. IPOPT finds a
-local minimum.
+Direct collocation with Radau points: a motion of free duration T from rest into the band, followed by
+`HOLD_S` in which the tool stays in the band and at whose end everything is at rest, the belts' forces held by
+friction and motors. Voltages are held over each interval within the rated ones, and T is minimized. T ends
+when the tool enters the band for the last time, usually at speed, exactly as a settling time does; it does
+not include coming to rest. IPOPT finds a local minimum.
 
-The equations of motion are those of `hframe_gym.dynamics.Equations`, evaluated on CasADi expressions. Coulomb friction
-is smoothed to F tanh(v / v0), because an optimizer needs derivatives.
+The equations of motion are those of `hframe_gym.dynamics.Equations`, evaluated on CasADi expressions. Coulomb
+friction is smoothed to F tanh(v / v0), because an optimizer needs derivatives.
 
 References:
     von Stryk (1993), Numerical solution of optimal control problems by direct collocation.
-    Biegler (2010), Nonlinear Programming: Concepts, Algorithms, and Applications to Chemical Processes, chapter 10.
+    Biegler (2010), Nonlinear Programming: Concepts, Algorithms, and Applications to Chemical Processes,
+    chapter 10.
 """
 
 from __future__ import annotations
@@ -41,8 +42,8 @@ SMOOTHED_REVERSAL_SPEED = 0.01  # m/s, v0 of the smoothed friction; moves reach 
 # s, weight of the mean squared voltage: selects one of several motions of nearly equal T.
 EFFORT_WEIGHT_S = 1e-6
 LONGEST_S, LARGEST_TRAVEL_M, LARGEST_SPEED = 5.0, 5.0, 10.0  # s, m, m/s: bounds of the search, at least
-# By default IPOPT starts so far inside the voltage limits that T first grows fourfold; the last barrier of 1e-7 s per
-# limit leaves T at most 0.05 ms above its minimum.
+# By default IPOPT starts so far inside the voltage limits that T first grows fourfold; the last barrier of
+# 1e-7 s per limit leaves T at most 0.05 ms above its minimum.
 IPOPT_OPTIONS: dict[str, Any] = {
     "mu_init": 1e-3,
     "mu_target": 1e-7,
@@ -76,16 +77,16 @@ class TimeOptimalMotion:
 class TimeOptimalReach:
     """Solver of the time-optimal control problem of one machine for any start, goal and parameter values.
 
-    The machine's effects (deviations from its nominal model) are part of the motion, except those at sensors. The
-    problem's controls are the voltages at the motors: an effect on a drive's voltage (dead band, offset, gain) changes
-    their limits, and a current limit is a constraint. Not supported (see `check_supported`) are effects with a memory,
-    because their states are not part of the problem; effects whose formula is not differentiable; and a dead time of
-    the drives.
+    The machine's effects (deviations from its nominal model) are part of the motion, except those at sensors.
+    The problem's controls are the voltages at the motors: an effect on a drive's voltage (dead band, offset,
+    gain) changes their limits, and a current limit is a constraint. Not supported (see `check_supported`) are
+    effects with a memory, because their states are not part of the problem; effects whose formula is not
+    differentiable; and a dead time of the drives.
 
     Args:
         band: Radius of the band around the goal, m or rad.
-        intervals: Numbers of collocation intervals of the motion until the tool enters the band for the last time
-            (duration T), and of the following HOLD_S within the band.
+        intervals: Numbers of collocation intervals of the motion until the tool enters the band for the last
+            time (duration T), and of the following HOLD_S within the band.
         reversal_speed: Speed v0 of the smoothed Coulomb friction F tanh(v / v0), m/s.
 
     Raises:
@@ -117,7 +118,7 @@ class TimeOptimalReach:
         return 1e-4, LONGEST_S
 
     def _largest_motion(self) -> tuple[float, float]:
-        """Return the bounds of travel and speed, m and m/s: wide enough for the workspace and the no-load speed."""
+        """Return the bounds of travel and speed, m and m/s, wide enough for workspace and no-load speed."""
         machine = self.machine
         ends = [max(map(abs, limits)) if limits else 0.0 for limits in machine.axis_ranges]
         no_load = [
@@ -193,23 +194,25 @@ class TimeOptimalReach:
         parameters: ArrayLike | None = None,
         guesses: Sequence[float] = INITIAL_GUESSES,
     ) -> TimeOptimalMotion:
-        """Compute the time-optimal motion from rest with unstretched belts into the band (`band`) around the goal.
+        """Compute the fastest motion from rest with unstretched belts into the band (`band`) around the goal.
 
         Args:
             start: Tool position at the start, m, shape (axes,).
             goal: Tool position of the goal, m, shape (axes,).
-            parameters: All parameters in the order of `Machine.parameters`, SI, shape (P,). Default: the machine's.
-            guesses: Initial guesses of the duration T of the motion, as multiples of the estimated time with rigid
-                belts, tried in this order; at least one.
+            parameters: All parameters in the order of `Machine.parameters`, SI, shape (P,). Default: the
+                machine's.
+            guesses: Initial guesses of the duration T of the motion, as multiples of the estimated time with
+                rigid belts, tried in this order; at least one.
 
         Returns:
-            Duration, s, and commanded voltages, V, shape (intervals, drives), from the first guess with which the
-            solver IPOPT converges. If it converges with none, the attribute `solved` is False.
+            Duration, s, and commanded voltages, V, shape (intervals, drives), from the first guess with which
+            the solver IPOPT converges. If it converges with none, the attribute `solved` is False.
         """
         begin, end = np.asarray(start, float), np.asarray(goal, float)
         nominal = list(self.machine.parameters.values())
         values = np.asarray(nominal if parameters is None else parameters, np.float64)
-        # Constants of the nonlinear program: the state at the start (belt travel, speed), the goal and the parameters.
+        # Constants of the nonlinear program: the state at the start (belt travel, speed), the goal and the
+        # parameters.
         fixed = np.concatenate([self._rigid @ begin, np.zeros(len(self._rigid)), end, values])
         for factor in guesses:
             guess = self._guess(begin, end, factor * self._rigid_time(end - begin, values))
@@ -233,7 +236,7 @@ class TimeOptimalReach:
         return InputInversion(self.machine.replace(by_name)).command(motor_voltage)
 
     def _rigid_time(self, distance: Array, values: Array) -> float:
-        """Return the approximate time of the rigid stage, s: that of its slowest axis, to first order in damping."""
+        """Return the rigid stage's approximate time, s: its slowest axis, to first order in damping."""
         by_name = dict(zip(self.machine.parameters, values.tolist(), strict=True))
         without_effects = dataclasses.replace(self.machine, effects=())
         equations = Equations(without_effects, self.machine.with_tied(by_name))

@@ -1,4 +1,4 @@
-"""Rearrange values between rows (one machine each) and blocks of `LANES` machines, which are simulated side by side.
+"""Rearrange values between rows (one machine each) and blocks of `LANES` machines, simulated side by side.
 
 In a block, each machine has a column ("lane").
 """
@@ -15,17 +15,18 @@ from .machine_code import LANES
 
 
 def in_blocks(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rearrange `values` of B machines, SI, shape (B, K), into blocks of machines, shape (ceil(B / LANES), K, LANES).
+    """Rearrange `values` of B machines, SI, shape (B, K), into blocks, shape (ceil(B / LANES), K, LANES).
 
-    The processor simulates `LANES` machines side by side: 16 with AVX-512, otherwise 8. Copies of the last machine fill
-    the last block.
+    The processor simulates `LANES` machines side by side: 16 with AVX-512, otherwise 8. Copies of the last
+    machine fill the last block.
     """
     count = -(-len(values) // LANES) * LANES
     padded = np.concatenate([values, np.repeat(values[-1:], count - len(values), axis=0)])
     return np.ascontiguousarray(padded.reshape(-1, LANES, values.shape[1]).transpose(0, 2, 1))
 
 
-# Most blocks are complete. Their loops have a constant number of machines, which makes them several times as fast.
+# Most blocks are complete. Their loops have a constant number of machines, which makes them several times as
+# fast.
 
 
 @compiled_only
@@ -50,7 +51,7 @@ def read_block(rows: Any, begin: int, block: Any) -> None:
 
 @compiled_only
 def write_block(block: Any, begin: int, count: int, rows: Any) -> None:
-    """Copy the first values of the machines of a block to the rows of an array; callable in compiled code only.
+    """Copy the first values of a block's machines to the rows of an array; callable in compiled code only.
 
     Args:
         block: Values of LANES (8 or 16) machines, any unit, shape (count or more, LANES).

@@ -18,13 +18,13 @@ _PATIENCE_S = 1.0  # of compilation, after which the user is told why nothing ha
 
 
 def compiled_only(function: Function) -> Function:
-    """Compile a function that only other compiled functions call: it needs no wrappers, and compiles faster."""
+    """Compile a function that only compiled functions call: it needs no wrappers, and compiles faster."""
     options = {"nogil": True, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     return cast("Function", _njit(**options)(function))
 
 
 def compiled(function: Function) -> Function:
-    """Compile a function with Numba and cache the machine code on disk; calls release Python's interpreter lock."""
+    """Compile a function with Numba, cache it on disk; calls release Python's interpreter lock."""
     config: Any = numba.config
     compile_cached = _njit(nogil=True, cache=True, error_model="numpy")
     try:
@@ -50,7 +50,7 @@ class _Notice(event.Listener):
         self._depth += 1
 
     def on_end(self, happened: Any) -> None:
-        """Give the notice once enough time has passed; a function compiles those that it calls within its own time."""
+        """Give the notice once enough time has passed; a function compiles those it calls in its own time."""
         self._depth -= 1
         passed = self._total + time.perf_counter() - self._since
         if self._depth == 0:

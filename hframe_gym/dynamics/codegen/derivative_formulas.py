@@ -1,7 +1,8 @@
 """Derivatives of the integrator's elementary functions, as formulas of SIMD registers.
 
-`friction` defines the functions decay_integral, end_weight and ramp of the viscous damping of a step. The derivative of
-the first follows from the functions themselves; the others cancel for weak damping and need a series.
+`friction` defines the functions decay_integral, end_weight and ramp of the viscous damping of a step. The
+derivative of the first follows from the functions themselves; the others cancel for weak damping and need a
+series.
 """
 
 from __future__ import annotations
@@ -16,12 +17,12 @@ _SMALL = 0.5  # largest |z| of the series below: the remainder of the Taylor ser
 
 
 def decay_integral_slope(z: Any) -> Any:
-    """Return the derivative of D(z) = (1 - exp(-z)) / z, ramp(z) - D(z); -1/2 without damping. `z` is b h / m >= 0."""
+    """Return the derivative of D(z) = (1 - exp(-z)) / z, ramp(z) - D(z); -1/2 undamped. `z`: b h / m >= 0."""
     return ramp(z) - decay_integral(z)
 
 
 def end_weight_slope(z: Any) -> Any:
-    """Return the derivative of w(z) = 1 / (1 - exp(-z)) - 1 / z, w - w**2 + (1 - 2 w) / z; 1/12 without damping."""
+    """Return the derivative of w(z) = 1 / (1 - exp(-z)) - 1 / z, w - w**2 + (1 - 2 w) / z; 1/12 undamped."""
     q = z * z
     # Derivative of the Bernoulli series of w, because the closed form cancels for small z.
     p = fma(q, 1.0 / 5322240.0, -1.0 / 172800.0)
@@ -36,7 +37,7 @@ def end_weight_slope(z: Any) -> Any:
 
 
 def ramp_slope(z: Any) -> Any:
-    """Return the derivative of ramp(z) = (z - 1 + exp(-z)) / z**2; -1/6 without damping. z < 0: time is reversed."""
+    """Return the derivative of ramp(z) = (z - 1 + exp(-z)) / z**2; -1/6 undamped. z < 0: reversed time."""
     # Taylor series: the sum of (-1)**k (k - 2) z**(k - 3) / k! from k = 3 on.
     p = fma(z, 11.0 / 6227020800.0, -10.0 / 479001600.0)
     p = fma(z, p, 9.0 / 39916800.0)

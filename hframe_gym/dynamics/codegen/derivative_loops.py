@@ -1,8 +1,8 @@
 """Loops around the derivatives of a kernel's step: forward over equal periods with held voltages, and back.
 
-As in `time_loops`, a block is `LANES` machines, side by side in the last axis of the arrays of a block. The way back
-needs the state before every step. Only those at the ends of the periods are kept; the others are computed again, period
-by period, so that they stay in the processor's cache.
+As in `time_loops`, a block is `LANES` machines, side by side in the last axis of the arrays of a block. The
+way back needs the state before every step. Only those at the ends of the periods are kept; the others are
+computed again, period by period, so that they stay in the processor's cache.
 """
 # mypy: ignore-errors
 
@@ -20,8 +20,8 @@ from .native_calls import call_at
 def _delayed_interval(k: int, s: int, steps: int, delay: float, h: float) -> tuple:
     """Find the periods whose voltages act during step s of period k after a delay, s.
 
-    Return the period that acts first, the next one, and the fraction of the step, of length h in s, in which the latter
-    acts. Before the first period, its voltage acts.
+    Return the period that acts first, the next one, and the fraction of the step, of length h in s, in which
+    the latter acts. Before the first period, its voltage acts.
     """
     begin = k * steps + s - delay / h  # of the interval in which the voltages were commanded, in steps
     i = int(np.floor(begin / steps + 1e-9))  # not the period before because of rounding
@@ -33,8 +33,8 @@ def _delayed_interval(k: int, s: int, steps: int, delay: float, h: float) -> tup
 def _set_voltages(block: int, k: int, steps: int, h: float, inputs, delays, delayed: bool, out) -> None:
     """Set the voltages of a period, V: one row per drive, or with delays the mean voltages of each step.
 
-    inputs (B, earlier and simulated periods, drives) V; delays (drives, LANES) s; h: length of a step, s. out (drives
-    or steps * drives, LANES).
+    inputs (B, earlier and simulated periods, drives) V; delays (drives, LANES) s; h: length of a step, s. out
+    (drives or steps * drives, LANES).
     """
     for lane in range(LANES):
         b = min(block * LANES + lane, inputs.shape[0] - 1)
@@ -54,7 +54,7 @@ def _set_voltages(block: int, k: int, steps: int, h: float, inputs, delays, dela
 def _add_voltages_back(
     block: int, k: int, steps: int, h: float, inputs, delays, delayed: bool, adjoint, out, delays_out
 ) -> None:
-    """Add the derivatives by voltages, 1/V, and delays, 1/s, of a period; the transpose of `_set_voltages`."""
+    """Add derivatives by voltages, 1/V, and delays, 1/s, of a period; the transpose of `_set_voltages`."""
     for lane in range(min(LANES, out.shape[0] - block * LANES)):
         b = block * LANES + lane
         for j in range(delays.shape[0]):
@@ -99,8 +99,8 @@ def periods_forward(
             latter. Before all of them, the first voltages act.
         parameters: Machine parameters, SI, shape (B, parameters).
         h: Length of a step, s.
-        states: Belt travel, m, its rate, m/s, time, s, and effect states at the ends of the periods, shape (B, periods
-            + 1, rows); the first ones are given, the others are the output.
+        states: Belt travel, m, its rate, m/s, time, s, and effect states at the ends of the periods,
+            shape (B, periods + 1, rows); the first ones are given, the others are the output.
     """
     prepare, voltage_delays, advance = functions
     coordinates, constants, drives = sizes
@@ -140,18 +140,19 @@ def periods_back(
     inputs_out,
     parameters_out,
 ) -> None:
-    """Compute derivatives by start, voltages and parameters from those by the states of each period's end, for blocks.
+    """Compute derivatives by start, voltages and parameters from those by the states of each period's end.
 
     Args:
-        functions: Addresses of prepare, voltage_delays, advance, step_back (with or without parameters), prepare_back
-            and voltage_delays_back.
+        functions: Addresses of prepare, voltage_delays, advance, step_back (with or without parameters),
+            prepare_back and voltage_delays_back.
         flags: Whether a drive has a delay, and whether to compute derivatives by the parameters.
         inputs: Voltages, V, shape (B, earlier + simulated periods, drives); `states` gives the number of the
             latter. Before all of them, the first voltages act.
         parameters: Machine parameters, SI, shape (B, parameters).
         h: Length of a step, s.
         states: Belt travel, m, its rate, m/s, time, s, and effect states, shape (B, periods + 1, rows).
-        adjoint: Derivatives by these states, 1/m, s/m, ..., shape (B, periods + 1, rows); those by time are ignored.
+        adjoint: Derivatives by these states, 1/m, s/m, ..., shape (B, periods + 1, rows); those by time are
+            ignored.
         start_out: Output, derivatives by the first states, shape (B, rows).
         inputs_out: Output, derivatives by the voltages, 1/V, in the shape of `inputs`; zero on entry.
         parameters_out: Output, derivatives by the parameters, shape (B, parameters).
@@ -229,7 +230,7 @@ def periods_back(
 def readings_back(
     read_sensors_back: int, states, parameters, adjoint, first: int, last: int, states_out, parameters_out
 ) -> None:
-    """Compute derivatives by states and parameters from those by the sensor readings, without delay, for blocks.
+    """Compute derivatives by states and parameters from those by sensor readings, without delay, for blocks.
 
     Args:
         states: Belt travel, m, and further rows, shape (B, N, rows).

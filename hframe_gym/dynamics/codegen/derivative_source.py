@@ -1,7 +1,8 @@
-"""Generate the source of the derivatives of a machine's simulation kernel, from the traces of the kernel itself.
+"""Generate the source of the derivatives of a machine's simulation kernel, from the kernel's traces.
 
-The functions multiply by the transposed derivative (reverse mode): from the derivatives of a number, such as a cost,
-with respect to the results of a function, they compute its derivatives with respect to the function's arguments.
+The functions multiply by the transposed derivative (reverse mode): from the derivatives of a number, such as
+a cost, with respect to the results of a function, they compute its derivatives with respect to the function's
+arguments.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ class _StepBack(StepTrace):
 
     @override
     def _initial_speed(self, i: int, balance: ForceBalance) -> Expression:
-        """Return the speed of coordinate i; a held one counts as zero, because a small speed would stop at once."""
+        """Return the speed of coordinate i; a held one counts as zero: a small speed would stop at once."""
         speed = self.speed[i]
         if self.reverse.friction == "sliding":
             return speed
@@ -117,8 +118,8 @@ def derivative_source(source: KernelSource, *, friction: str) -> str:
 
     Returns:
         Text of the functions `DERIVATIVE_FUNCTIONS`. Each adds to the rows of the derivatives with respect to
-        parameters, step constants and voltages. A step replaces `adjoint_state`, the derivatives with respect to the
-        state after it, by those with respect to the state before it.
+        parameters, step constants and voltages. A step replaces `adjoint_state`, the derivatives with respect
+        to the state after it, by those with respect to the state before it.
     """
     traces = [_StepBack(source, friction=friction, by_parameters=flag).reverse for flag in (True, False)]
     constants = ReverseTrace("prepare_back(parameters, adjoint_derived, adjoint_parameters, h: float)")
@@ -136,7 +137,7 @@ def derivative_source(source: KernelSource, *, friction: str) -> str:
 
 
 def _add_derivatives(trace: ReverseTrace, results: str, arguments: Sequence[str]) -> None:
-    """Append statements that add the derivatives of a weighted sum of the results to rows of the arguments."""
+    """Append statements that add the derivatives of a weighted sum of the results to rows of arguments."""
     trace.line(f'"""Derivatives of {results}."""')
     loaded = {key: value for key, value in trace.loaded.items() if key[0] in arguments}
     stored = {row: value for (array, row), value in trace.stored.items() if array == results}

@@ -1,7 +1,8 @@
 """Compile the simulation kernel of a machine's shape once and keep it on disk.
 
-The kernel is generated code that simulates all machines of one structure (`Machine.shape`): its functions integrate one
-block of machines and read its sensors. `time_loops` calls them for recordings and control periods.
+The kernel is generated code that simulates all machines of one structure (`Machine.shape`): its functions
+integrate one block of machines and read its sensors. `time_loops` calls them for recordings and control
+periods.
 """
 
 from __future__ import annotations
@@ -33,11 +34,12 @@ from hframe_gym.dynamics.codegen.lane_formulas import cos, exp, log, sign, sin, 
 class Kernel:
     """Simulation functions for all machines of one `Machine.shape`.
 
-    The module `time_loops` describes the functions; here, they have their first arguments already, which say where the
-    generated code is. A block is a group of `LANES` machines that are simulated side by side.
+    The module `time_loops` describes the functions; here, they have their first arguments already, which say
+    where the generated code is. A block is a group of `LANES` machines that are simulated side by side.
 
     Attributes:
-        layout: Row of each parameter, and of each step constant that is derived from them, in the functions' arrays.
+        layout: Row of each parameter, and of each step constant that is derived from them, in the functions'
+            arrays.
         rollout: Simulates machines over a recording.
         prepare_blocks: Computes the derived step constants of blocks of machines.
         advance_blocks: Advances blocks of machines by some steps of the integrator.
@@ -64,7 +66,7 @@ class Kernel:
 
 
 def generate_kernel(machine: Machine, *, forced: bool = False) -> tuple[str, KernelSource]:
-    """Return the source text of a kernel, with external forces if `forced`, and what it was generated from."""
+    """Return the source text of a kernel, with external forces if `forced`, and its origin."""
     source = KernelSource(machine, forced=forced)
     components = {
         "coordinates": machine.coordinates,
@@ -91,8 +93,8 @@ def kernel_for(machine: Machine, *, forced: bool = False) -> Kernel:
     Machines that differ only in parameter values get the same functions. The compiled code is kept on disk.
 
     Args:
-        forced: Whether the function that simulates a recording (`Kernel.rollout`) takes, besides the voltages, an
-            external force on every coordinate.
+        forced: Whether the function that simulates a recording (`Kernel.rollout`) takes, besides the
+            voltages, an external force on every coordinate.
     """
     key = (machine.shape, forced)
     if key not in _KERNELS:

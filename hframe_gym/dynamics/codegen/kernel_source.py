@@ -1,9 +1,9 @@
-"""Generate the source of a machine's simulation kernel by evaluating the equations of motion on traced expressions.
+"""Generate the source of a machine's simulation kernel by evaluating the equations on traced expressions.
 
-A traced expression records the operations on it (module `tracing`). What is the same for all machines of one shape
-(coordinates, factors of the belts, sites of drives and effects) becomes source text, where terms with the factor 0 and
-multiplications by 1 are omitted. What differs between them (every value of `Machine.parameters`) is data, with one
-machine in each SIMD lane.
+A traced expression records the operations on it (module `tracing`). What is the same for all machines of one
+shape (coordinates, factors of the belts, sites of drives and effects) becomes source text, where terms with
+the factor 0 and multiplications by 1 are omitted. What differs between them (every value of
+`Machine.parameters`) is data, with one machine in each SIMD lane.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from .step_trace import Layout, StepTrace, row_name
 # Functions of the generated text.
 FUNCTIONS = ("prepare", "voltage_delays", "advance", "read_sensors", "measurement_delays")
 
-# Constants of a step that `prepare` derives from the parameters, for each coordinate; those of PER_DIRECTION for both
-# directions of motion where viscous friction depends on the direction.
+# Constants of a step that `prepare` derives from the parameters, for each coordinate; those of PER_DIRECTION
+# for both directions of motion where viscous friction depends on the direction.
 PER_COORDINATE = ("mass", "per_mass", "coulomb", "correction_gain")
 PER_DIRECTION = ("viscous", "correction_damping", "decay", "speed_gain", "first_weight", "last_weight")
 
@@ -40,10 +40,12 @@ class KernelSource:
 
     Attributes:
         layout: Row of each quantity in the arrays `parameters` and `derived` of the generated functions.
-        felt: Number of rows of a state that hold accelerations and currents: none unless a sensor measures them.
-        states: Number of rows of a state: travel and speed of each coordinate, time, effect states, and then (`felt`)
-            the acceleration along the belt travel of each coordinate and the current of each drive just before the
-            present sample, under the voltages that have acted until then. They are 0 at the start.
+        felt: Number of rows of a state that hold accelerations and currents: none unless a sensor measures
+            them.
+        states: Number of rows of a state: travel and speed of each coordinate, time, effect states, and then
+            (`felt`) the acceleration along the belt travel of each coordinate and the current of each drive
+            just before the present sample, under the voltages that have acted until then. They are 0 at the
+            start.
         delayed: Whether a drive has a delay.
         lagged: Whether a sensor has a delay.
         uses_time: Whether time is counted step by step: an effect depends on it, or on the clock.
@@ -91,9 +93,10 @@ class KernelSource:
         self.text = "\n\n".join(map(function_source, traces))
 
     def directions(self, i: int) -> tuple[str, ...]:
-        """Return the suffixes of the names of step constants of coordinate i that distinguish directions of motion.
+        """Return the suffixes of coordinate i's step constants that distinguish directions of motion.
 
-        They are ("_forward", "_backward") if an effect changes the viscous friction of the coordinate, else ("",).
+        They are ("_forward", "_backward") if an effect changes the viscous friction of the coordinate, else
+        ("",).
         """
         return ("_forward", "_backward") if any(self._plain.effects_on("viscous", i)) else ("",)
 
@@ -102,7 +105,8 @@ class KernelSource:
         rows = self.layout.parameters.items()
         return Equations(self.machine, {name: trace.load("parameters", row, f"p{row}") for name, row in rows})
 
-    # -- constants of a step ---------------------------------------------------------------------------------------
+    # -- constants of a step
+    # ---------------------------------------------------------------------------------------
 
     def trace_constants(self, trace: Trace) -> Trace:
         """Trace the constants that depend on parameters and the step length only; return the trace."""
@@ -139,10 +143,11 @@ class KernelSource:
             if not belt.length:
                 yield row_name("belt", b, "stiffness"), equations.constant_stiffness(b)
 
-    # -- sensors and delays ----------------------------------------------------------------------------------------
+    # -- sensors and delays
+    # ----------------------------------------------------------------------------------------
 
     def trace_delays(self, trace: Trace, function: str) -> Trace:
-        """Trace voltage_delays (delay of each drive, s) or measurement_delays (each sensor, s); return the trace."""
+        """Trace voltage_delays (each drive's delay, s) or measurement_delays (each sensor's, s)."""
         for row, delay in enumerate(getattr(self._equations(trace), function)()):
             trace.store("delays", row, delay)
         return trace

@@ -1,20 +1,20 @@
 """Compile functions of SIMD registers from their Python source to LLVM's intermediate representation (IR).
 
-The functions of a simulation kernel are short and of one kind: arithmetic on SIMD registers ("vectors": `LANES` float64
-numbers, one per simulated machine), loads and stores of rows, and a few branches that any machine of the register can
-take. A general compiler spends most of its time on finding out what it sees; this one knows. It compiles a kernel about
-ten times as fast as Numba (docs/decisions/0032).
+The functions of a simulation kernel are short and of one kind: arithmetic on SIMD registers ("vectors":
+`LANES` float64 numbers, one per simulated machine), loads and stores of rows, and a few branches that any
+machine of the register can take. A general compiler spends most of its time on finding out what it sees; this
+one knows. It compiles a kernel about ten times as fast as Numba (docs/decisions/0032).
 
     statement       x = value;  x, y = f(...);  store(rows, k, value);  if any_of(mask):  while any_of(mask):
                     for i in range(n):  return value (last statement of a formula)
     value           number, name, load(rows, k), + - * /, comparison, & and | of masks, calls
-    function        of `_PRIMITIVES`, one vector instruction each; or a formula: a Python function in the same subset,
-                    which is inlined
+    function        of `_PRIMITIVES`, one vector instruction each; or a formula: a Python function in the same
+                    subset, which is inlined
     argument        of an exported function: rows of `LANES` numbers, or annotated as `float` or `int`
 
 Operations on two numbers are computed by Python, operations on scalars (h, steps) once for all machines. LLVM
-contracts and re-associates nothing, and a fused multiply-add happens only where `fma` is called: a machine's results
-have the same bits in every lane, batch size, register width and number of threads.
+contracts and re-associates nothing, and a fused multiply-add happens only where `fma` is called: a machine's
+results have the same bits in every lane, batch size, register width and number of threads.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def _syntax_tree(function: Callable[..., Any]) -> ast.FunctionDef:
 
 @lru_cache(maxsize=1024)
 def _vector_constant(number: str, lanes: int) -> ir.Constant:
-    """Return a number, in hexadecimal because 0.0 equals -0.0, in all lanes; its long text is composed once."""
+    """Return a number, in hexadecimal as 0.0 equals -0.0, in all lanes; its long text is composed once."""
     element = ir.Constant(_F64, float.fromhex(number))
     return ir.Constant(ir.VectorType(_F64, lanes), [element] * lanes)
 
@@ -122,7 +122,8 @@ class _Function:
         self._block(node.body, _Scope(dict(zip(names, self._function.args, strict=True)), {}))
         self._builder.ret_void()
 
-    # -- statements ----------------------------------------------------------------------------------------------------
+    # -- statements
+    # ----------------------------------------------------------------------------------------------------
 
     def _block(self, statements: Sequence[ast.stmt], scope: _Scope) -> Value:
         """Emit statements; return the value of a `return` at their end."""
@@ -205,7 +206,8 @@ class _Function:
         kind = ir.FunctionType(ir.VoidType(), [slot.type])
         self._builder.asm(kind, "", "r,~{memory}", [slot], side_effect=True)
 
-    # -- values --------------------------------------------------------------------------------------------------------
+    # -- values
+    # --------------------------------------------------------------------------------------------------------
 
     def _value(self, node: ast.expr, scope: _Scope) -> Value:
         match node:

@@ -1,9 +1,9 @@
 """Elementary functions of SIMD registers, such as exp, as formulas of the vector instructions.
 
 The functions have no branches, are accurate to a few units in the last place, and give the same bits on every
-processor. The mathematical library of the system would need one call per number, and its results differ between
-systems. A kernel calls them where a formula calls the function of the same name in `elementwise`. On NumPy arrays, they
-compute the same with two roundings in place of each fused multiply-add.
+processor. The mathematical library of the system would need one call per number, and its results differ
+between systems. A kernel calls them where a formula calls the function of the same name in `elementwise`. On
+NumPy arrays, they compute the same with two roundings in place of each fused multiply-add.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ _SQRT2 = 1.4142135623730951
 # ln 2 in two parts: the product of the first with an integer up to 2**20 is exact.
 _LN2_HIGH, _LN2_LOW = 0.6931471803691238, 1.9082149292705877e-10
 _TWO_OVER_PI = 0.6366197723675814
-# pi/2 in three parts (Cody and Waite): the products of the first two with an integer up to 2**20 are exact. For larger
-# integers, up to 1e12 and beyond, the single rounding of `fma` preserves the accuracy.
+# pi/2 in three parts (Cody and Waite): the products of the first two with an integer up to 2**20 are exact.
+# For larger integers, up to 1e12 and beyond, the single rounding of `fma` preserves the accuracy.
 _PIO2 = (1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21)
 
 
@@ -49,7 +49,7 @@ def _power(x: Any, step: float) -> Any:
 
 
 def log(x: Any) -> Any:
-    """Return n ln 2 + ln m with an integer n and 1/sqrt(2) < m <= sqrt(2); x is limited to 1e-300 to 1e300."""
+    """Return n ln 2 + ln m with an integer n and 1/sqrt(2) < m <= sqrt(2); x is within 1e-300 to 1e300."""
     limited = where(x > 1e-300, where(x < 1e300, x, 1e300), 1e-300)
     n = _power(limited, 512.0)  # bisection of the exponent, to 1 <= limited / 2**n < 2
     n = n + _power(limited * pow2(-n), 256.0)
@@ -83,13 +83,14 @@ def log(x: Any) -> Any:
 def _sin_shifted(x: Any, quarter_turns: float) -> Any:
     """Return sin(x + quarter_turns pi/2), for quarter_turns 0 (sine) or 1 (cosine); x: angle, rad.
 
-    With the nearest multiple n pi/2 of pi/2 and r = x - n pi/2, the value is sin r, cos r, -sin r or -cos r, according
-    to the quadrant (n + quarter_turns) mod 4.
+    With the nearest multiple n pi/2 of pi/2 and r = x - n pi/2, the value is sin r, cos r, -sin r or -cos r,
+    according to the quadrant (n + quarter_turns) mod 4.
     """
     n = rint(x * _TWO_OVER_PI)
     r = fma(n, -_PIO2[2], fma(n, -_PIO2[1], fma(n, -_PIO2[0], x)))
     s = r * r
-    # Taylor series of sin r (odd) to r**15 and of cos r (even) to r**16: |r| <= pi/4, remainders 5e-17 and 2e-18.
+    # Taylor series of sin r (odd) to r**15 and of cos r (even) to r**16: |r| <= pi/4, remainders 5e-17 and
+    # 2e-18.
     odd = fma(s, -1.0 / 1307674368000.0, 1.0 / 6227020800.0)
     odd = fma(s, odd, -1.0 / 39916800.0)
     odd = fma(s, odd, 1.0 / 362880.0)
@@ -122,8 +123,9 @@ def cos(x: Any) -> Any:
 
 
 def tanh(x: Any) -> Any:
-    """Return (1 - p) / (1 + p) with p = exp(-2 |x|) and the sign of x; for |x| below 0.4, a continued fraction."""
-    # Lambert's continued fraction x / (1 + s / (3 + s / (5 + ...))) to the term 17: remainder 1e-17 for |x| <= 0.4.
+    """Return (1 - p) / (1 + p) with p = exp(-2 |x|) and the sign of x; below 0.4, a continued fraction."""
+    # Lambert's continued fraction x / (1 + s / (3 + s / (5 + ...))) to the term 17: remainder 1e-17 for |x|
+    # <= 0.4.
     s = x * x
     tail = 15.0 + s / 17.0
     tail = 13.0 + s / tail

@@ -23,7 +23,7 @@ FORMULAS: Mapping[str, Callable[..., Any]] = {
 
 
 class LaneProgram:
-    """Compiled functions of SIMD registers. Machine code is kept on disk; a copy in another process finds it there.
+    """Compiled functions of SIMD registers. Machine code is kept on disk, where other processes find it.
 
     Args:
         text: Source text; `lane_compiler` describes the language.

@@ -23,7 +23,7 @@ _LOADED: dict[str, Any] = {}  # engines by the hash of their code, which exists 
 
 
 def processor() -> tuple[str, str]:
-    """Return name and comma-separated features of the processor for which code is compiled, as LLVM writes them.
+    """Return name and comma-separated features of the processor that code is compiled for, as in LLVM.
 
     They are those of Numba, where NUMBA_CPU_NAME and NUMBA_CPU_FEATURES replace what LLVM finds.
     """
@@ -33,13 +33,14 @@ def processor() -> tuple[str, str]:
     )
 
 
-# Machines per SIMD register. With AVX-512, a register is two of the processor: instructions on one run while those on
-# the other wait for their results. Other processors have too few registers for 16 numbers per variable.
+# Machines per SIMD register. With AVX-512, a register is two of the processor: instructions on one run while
+# those on the other wait for their results. Other processors have too few registers for 16 numbers per
+# variable.
 LANES = 16 if "+avx512f" in processor()[1].split(",") else 8
 
 
 def native_functions(key: str, names: Sequence[str], build: Callable[[], ir.Module]) -> Mapping[str, int]:
-    """Return the addresses of functions by name; compile them if no process has, for this `key` and processor."""
+    """Return the addresses of functions by name, compiled if no process has, for `key` and processor."""
     text = "\n".join((key, llvmlite.__version__, llvm.get_default_triple(), *processor()))
     name = f"kernel_{hashlib.sha256(text.encode()).hexdigest()[:24]}"
     with _LOCK:

@@ -29,7 +29,7 @@ def _emit_call(context: Any, builder: Any, signature: Any, values: Any) -> Any:
 def call_at(typing_context: Any, address: Any, *arguments: Any) -> Any:
     """Call the function of a `LaneProgram` at an address; only compiled functions can do so.
 
-    Arguments are contiguous arrays of rows, shape (n, LANES), of which the function gets the address, and numbers, of
-    which it gets float64 or int64. Neither their number nor the arrays' sizes are checked.
+    Arguments are contiguous arrays of rows, shape (n, LANES), of which the function gets the address, and
+    numbers, of which it gets float64 or int64. Neither their number nor the arrays' sizes are checked.
     """
     return types.void(types.int64, types.StarArgTuple(arguments)), _emit_call

@@ -1,9 +1,9 @@
 """Reverse-mode derivatives of a traced function.
 
-A `ReverseTrace` records a function as `Trace` does, but without variables: each value is one expression of the
-function's arguments. `adjoints` then goes through the expressions from the last to the first and adds, by the chain
-rule, the expressions of the derivatives of one weighted sum of the results with respect to every argument. They are
-written and compiled as any other traced function.
+A `ReverseTrace` records a function as `Trace` does, but without variables: each value is one expression of
+the function's arguments. `adjoints` then goes through the expressions from the last to the first and adds, by
+the chain rule, the expressions of the derivatives of one weighted sum of the results with respect to every
+argument. They are written and compiled as any other traced function.
 
 A condition selects a branch, and the derivative is that of this branch. Where a branch is seldom taken
 (`update_if_any`), the derivative skips it as the function does.
@@ -52,7 +52,7 @@ def _operation(name: str) -> Callable[..., Any]:
 
 
 def _traceable(formula: Callable[..., Any]) -> Any:
-    """Return a formula of the kernel as a function of expressions: it takes all branches, which select by `where`."""
+    """Return a formula of the kernel as a function of expressions, which selects branches by `where`."""
     code: Any = formula
     operations = {name: _operation(name) for name in ("ramp", "static_friction")}
     names = {**code.__globals__, "any_of": lambda condition: True, **operations}
@@ -102,7 +102,7 @@ class ReverseTrace(Trace):
 
     @override
     def node(self, operation: str, *operands: Any) -> Expression:
-        """Return the expression of an operation, as in `Trace`; formulas of friction become their operations."""
+        """Return the expression of an operation, as in `Trace`; friction formulas become their operations."""
         if operation in _EXPANDED:
             value: Expression = _EXPANDED[operation](*operands)
             return value
@@ -130,19 +130,19 @@ class ReverseTrace(Trace):
         self.stored[array, int(row)] = self.expression(value)
 
     def operations(self, formula: str, *operands: Any) -> tuple[Expression, ...]:
-        """Return the results of the formula of friction that has several, "stop_or_reverse", as operations."""
+        """Return results of the formula of friction that has several, "stop_or_reverse", as operations."""
         return tuple(_EXPANDED[formula](*operands))
 
     def read(self, array: str, row: int) -> Expression:
-        """Return the expression that loads a row of an array of derivatives; it is not differentiated itself."""
+        """Return the expression that loads a row of an array of derivatives, itself not differentiated."""
         return super().load(array, row, "")
 
     def write(self, array: str, row: int, value: Expression) -> None:
-        """Append to the generated function: write a value to a row of one of its arguments, an array of derivatives."""
+        """Append a statement that writes a value to a row of an argument, an array of derivatives."""
         super().store(array, row, value)
 
     def add_to(self, array: str, row: int, value: Expression) -> None:
-        """Append to the generated function: add a value to a row of one of its arguments, an array of derivatives."""
+        """Append a statement that adds a value to a row of one of the arguments, an array of derivatives."""
         super().store(array, row, self.read(array, row) + value)
 
     @override
@@ -187,7 +187,8 @@ class ReverseTrace(Trace):
             for key in missing:
                 del dropped[key]
 
-    # -- derivatives -----------------------------------------------------------------------------------------------
+    # -- derivatives
+    # -----------------------------------------------------------------------------------------------
 
     def adjoints(
         self, seeds: Mapping[Expression, Expression], arguments: Iterable[Expression]
@@ -229,7 +230,7 @@ class ReverseTrace(Trace):
         adjoint: dict[Expression, Expression],
         active: set[Expression],
     ) -> dict[Expression, Expression]:
-        """Propagate adjoints from the last of the nodes to the one with index `first`; return those of all others."""
+        """Propagate adjoints from the last node to that with index `first`; return those of all others."""
         guards = {guard.results[-1]: guard for guard in self._guards}
 
         def add(node: Expression, value: Any) -> None:
@@ -252,7 +253,7 @@ class ReverseTrace(Trace):
         adjoint: dict[Expression, Expression],
         active: set[Expression],
     ) -> list[tuple[Expression, Expression]]:
-        """Append a block with the derivatives within the branch; return what they add, by expression before it."""
+        """Append a block with the branch's derivatives; return what they add, by expression before it."""
         seeds = [adjoint.pop(result, None) for result in guard.results]
         skipped: dict[Expression, Expression] = {}  # derivatives if the branch is not taken
         taken: dict[Expression, Expression] = {}
@@ -332,7 +333,7 @@ class ReverseTrace(Trace):
     def _static_friction(
         self, f: Expression, coulomb: Expression, a: Expression
     ) -> list[tuple[Expression, Any]]:
-        """Return what the friction of a coordinate at rest, f limited to [-coulomb, coulomb], adds to the adjoints."""
+        """Return what a resting coordinate's friction, f limited to +-coulomb, adds to the adjoints."""
         holds = abs(f) < coulomb
         by_coulomb = where(holds, 0.0, a * copysign(1.0, f))
         if self.friction == "sliding":

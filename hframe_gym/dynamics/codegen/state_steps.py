@@ -25,8 +25,8 @@ def follow_state(next_state: Callable[..., Any], steps: Mapping[str, Array]) -> 
 
     Args:
         next_state: Formula of the effect for its state after a step (`Effect.next_state`).
-        steps: Arguments of the formula but the state, SI, by name: arrays of shape (n,), or (variants, n) with one row
-            for each of several variants of the effect.
+        steps: Arguments of the formula but the state, SI, by name: arrays of shape (n,), or (variants, n)
+            with one row for each of several variants of the effect.
 
     Returns:
         States, SI, shape (n,), or (variants, n) if an argument has variants.
@@ -53,7 +53,7 @@ def _step_names(next_state: Callable[..., Any]) -> list[str]:
 
 @cache
 def _compiled(next_state: Callable[..., Any]) -> Callable[..., None]:
-    """Return the function that steps a block of variants; it expects their states before the first step in row 0."""
+    """Return the function that steps a block of variants; it expects their initial states in row 0."""
     names = _step_names(next_state)
     trace = Trace(f"{_FUNCTION}(arguments, states, steps: int)")
     state = trace.variable("state", None, trace.load("states", 0, ""))

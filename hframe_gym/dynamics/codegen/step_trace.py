@@ -1,9 +1,11 @@
-"""Generate by tracing the function `advance`, the steps of the integrator, in which simulations spend their time.
+"""Generate by tracing the function `advance`, the integrator's steps, in which simulations spend their time.
 
 One step of length h, from travel q and speed v (`reference_step` is the same algorithm in plain Python):
 
-    1. Forces at the half-way point q + h/2 v, and from them the acceleration a (zero where static friction holds).
-    2. Forces again at the corrected point q + h/2 v + h^2/12 a; speed-dependent friction is evaluated at v + h/2 a.
+    1. Forces at the half-way point q + h/2 v, and from them the acceleration a (zero where static friction
+      holds).
+    2. Forces again at the corrected point q + h/2 v + h^2/12 a; speed-dependent friction is evaluated at v +
+      h/2 a.
     3. Exact flow of m dv/dt = f - b v - F sign v with these forces (`friction`), and its exact travel.
     4. Machines with a coordinate that stops within the step: exact time of the stop, then rest or reversal.
     5. States of the effects.
@@ -37,8 +39,8 @@ class Layout:
 
     Attributes:
         parameters: Row of each machine parameter by full name, for example "x.mass".
-        derived: Row of each constant that the generated function `prepare` derives from parameters and step length h,
-            for example "coordinate_0.decay", the factor exp(-b h / m) of the first coordinate.
+        derived: Row of each constant that the generated function `prepare` derives from parameters and step
+            length h, for example "coordinate_0.decay", the factor exp(-b h / m) of the first coordinate.
     """
 
     parameters: Mapping[str, int]
@@ -46,7 +48,7 @@ class Layout:
 
 
 class KernelShape(Protocol):
-    """What the trace of a step needs to know of the kernel, a `kernel_source.KernelSource`, which explains it."""
+    """What the trace of a step needs to know of the kernel, explained at `kernel_source.KernelSource`."""
 
     machine: Machine
     forced: bool
@@ -69,8 +71,8 @@ class KernelShape(Protocol):
 def row_name(component: str, index: int, key: str) -> str:
     """Return the name of a step constant, such as "coordinate_0.decay" for the factor exp(-b h / m).
 
-    The constants depend on the parameters and the step length only. They are computed before the integration and stored
-    in the rows of an array. By the name, the generator of the simulation code finds the row.
+    The constants depend on the parameters and the step length only. They are computed before the integration
+    and stored in the rows of an array. By the name, the generator of the simulation code finds the row.
     """
     return f"{component}_{index}.{key}"
 
@@ -88,7 +90,7 @@ class _PreparedEquations(Equations):
         self.constants: Mapping[str, Expression] = {}  # instead of those that `prepare` has computed
 
     def derived(self, component: str, index: int, key: str) -> Expression:
-        """Return the expression of the step constant `key` of a "coordinate", "drive" or "belt" with this index."""
+        """Return the step constant `key` of a "coordinate", "drive" or "belt" with this index."""
         name = row_name(component, index, key)
         if name in self.constants:
             return self.constants[name]
@@ -150,7 +152,7 @@ class StepTrace:
         self.h = trace.argument("h")
 
     def _store_felt(self, row: int) -> None:
-        """Trace the acceleration of each coordinate, m/s^2, and the current of each drive, A, after the last step."""
+        """Trace each coordinate's acceleration, m/s^2, and each drive's current, A, after the last step."""
         trace, equations = self.trace, self.equations
         with trace.section("6. accelerations and currents", "felt_"):
             point = MotionPoint(self.travel, self.speed, self.time, self.effect_states)
@@ -301,7 +303,7 @@ class StepTrace:
         return value
 
     def _flow(self, i: int, balance: ForceBalance) -> tuple[Expression, Expression, Expression]:
-        """Trace the step of coordinate i without a stop; return speed, speed * speed before (< 0: stop), and travel."""
+        """Trace the step of coordinate i without a stop; return speed, speed * former speed, and travel."""
         decay, gain, first, last = (
             self._by_direction(i, key, balance)
             for key in ("decay", "speed_gain", "first_weight", "last_weight")
@@ -320,10 +322,10 @@ class StepTrace:
     def _stops(
         self, balance: ForceBalance, flows: Sequence[tuple[Expression, Expression, Expression]]
     ) -> list[tuple[Expression, Expression]]:
-        """Trace a loop in which every machine takes its next coordinate that stops; return speeds and travels.
+        """Trace a loop in which every machine takes its next stopping coordinate; return speeds and travels.
 
-        In a register of machines some coordinate stops in most steps, but seldom two of one machine. So there is one
-        branch per step, and its body seldom runs twice.
+        In a register of machines some coordinate stops in most steps, but seldom two of one machine. So there
+        is one branch per step, and its body seldom runs twice.
         """
         trace, h, ends = self.trace, self.h, []
         crossings = [crossing for _, crossing, _ in flows]

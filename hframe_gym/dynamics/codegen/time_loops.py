@@ -1,8 +1,8 @@
 """Loops around a kernel's step: recordings (`rollout`) and control periods (`advance_blocks`).
 
-The functions of a kernel are given by their addresses, and the sizes of a machine by numbers or the shapes of arrays,
-so that these loops are compiled once for all machines. They run without the interpreter lock, each on a range of
-blocks; a block is `LANES` machines, side by side in the last axis of the arrays.
+The functions of a kernel are given by their addresses, and the sizes of a machine by numbers or the shapes of
+arrays, so that these loops are compiled once for all machines. They run without the interpreter lock, each on
+a range of blocks; a block is `LANES` machines, side by side in the last axis of the arrays.
 """
 # mypy: ignore-errors
 
@@ -24,7 +24,8 @@ def held_mean(time, values, start: float, end: float, hint: int) -> float:
         values: Input at the samples, any unit, shape (N,); the first value also acts before the first sample.
         start: Start of the interval, s.
         end: End of the interval, s, later than `start`; it may be later than the last sample.
-        hint: Index of the sample at which the search for the start of the interval begins; any index is allowed.
+        hint: Index of the sample at which the search for the start of the interval begins; any index is
+            allowed.
     """
     i = hint
     while i > 0 and time[i] > start:
@@ -46,11 +47,13 @@ def parabola(time, i: int, delay: float) -> tuple:
 
     Args:
         time: Sample times, s, ascending, shape (N,).
-        i: Index of the present sample; later ones are not used. With two samples (i = 1) the interpolation is linear.
+        i: Index of the present sample; later ones are not used. With two samples (i = 1) the interpolation is
+            linear.
         delay: Time before the present sample, s; times before the first sample count as that sample.
 
     Returns:
-        Index k of the middle sample, weight a of sample k - 1 and weight b of sample k + 1; sample k has 1 - a - b.
+        Index k of the middle sample, weight a of sample k - 1 and weight b of sample k + 1; sample k has 1 -
+        a - b.
     """
     if i == 0:
         return 0, 0.0, 0.0
@@ -70,7 +73,7 @@ def parabola(time, i: int, delay: float) -> tuple:
 
 @compiled_only
 def most_steps(time, longest_step: float) -> int:
-    """Return the largest number of steps, of at most `longest_step`, s, between the times `time`, s, shape (N,)."""
+    """Return the largest number of steps, of at most `longest_step`, s, between `time`, s, shape (N,)."""
     steps = 1
     for i in range(time.shape[0] - 1):
         steps = max(steps, int(np.ceil((time[i + 1] - time[i]) / longest_step - 1e-6)))
@@ -81,7 +84,7 @@ def most_steps(time, longest_step: float) -> int:
 def start_block(
     block: int, coordinates: int, start_time: float, parameters, start, state, block_parameters
 ) -> None:
-    """Copy parameters and initial states of up to LANES of B machines to the arrays of a block, one column (lane) each.
+    """Copy parameters and initial states of up to LANES of B machines to a block's arrays, one lane each.
 
     Columns without a machine repeat the first machine of the block.
 
@@ -89,7 +92,8 @@ def start_block(
         start_time: Time of the first sample, s.
         parameters: Parameters of all machines, SI, shape (B, parameters).
         start: States of all machines without their time, SI, shape (B, rows of the state - 1).
-        state: Output: belt travel, m, its rate, m/s, time, s, and effect states, shape (rows of the state, LANES).
+        state: Output: belt travel, m, its rate, m/s, time, s, and effect states,
+            shape (rows of the state, LANES).
         block_parameters: Output: parameters, SI, shape (parameters, LANES).
     """
     moving = 2 * coordinates
@@ -109,8 +113,10 @@ def copy_lanes(block: int, row: int, values, table) -> None:
     """Copy values of a block to one row of a table over the rows of a recording.
 
     Args:
-        values: Values of the block (states or readings, any unit), shape (k or more, LANES); the first k are copied.
-        table: Output for B machines, in the unit of the values, shape (B, rows, k); if empty, nothing is done.
+        values: Values of the block (states or readings, any unit), shape (k or more, LANES); the first k are
+            copied.
+        table: Output for B machines, in the unit of the values, shape (B, rows, k); if empty, nothing is
+            done.
     """
     first = block * LANES
     if first + LANES <= table.shape[0]:  # a constant number of machines: twice as fast
@@ -127,15 +133,16 @@ def copy_lanes(block: int, row: int, values, table) -> None:
 def delay_readings(time, i: int, sensor_delays, past_readings, reading) -> None:
     """Delay the readings of one sample by each sensor's delay, for a block.
 
-    The readings become row i of `past_readings`. Those of sensors with a delay are then interpolated between its rows.
+    The readings become row i of `past_readings`. Those of sensors with a delay are then interpolated between
+    its rows.
 
     Args:
         time: Sample times, s, shape (N,).
         sensor_delays: Delay of each sensor, s, shape (sensors, LANES), one machine per column.
-        past_readings: Readings without delay, in the sensors' units, shape (N, sensors, LANES), up to sample i - 1; row
-            i is added.
-        reading: Readings of sample i, in the sensors' units, shape (sensors, LANES): without delay on entry, delayed on
-            return.
+        past_readings: Readings without delay, in the sensors' units, shape (N, sensors, LANES), up to sample
+            i - 1; row i is added.
+        reading: Readings of sample i, in the sensors' units, shape (sensors, LANES): without delay on entry,
+            delayed on return.
     """
     for j in range(reading.shape[0]):
         for lane in range(reading.shape[1]):
@@ -156,12 +163,13 @@ def delay_readings(time, i: int, sensor_delays, past_readings, reading) -> None:
 def inject_outputs(block: int, row: int, measured, gains, reading, innovation, state) -> None:
     """Correct the states of a block by measurements, as an observer does.
 
-    The correction gains @ (measured - reading) is added to the state (output injection). The innermost loops go over
-    all lanes, so that they are vector instructions.
+    The correction gains @ (measured - reading) is added to the state (output injection). The innermost loops
+    go over all lanes, so that they are vector instructions.
 
     Args:
         measured: Measurements, in the sensors' units, shape (1 or B, rows, sensors), NaN where not measured.
-        gains: Change of belt travel (m) and of its rate (m/s) per m or rad of error, shape (2 * coordinates, sensors).
+        gains: Change of belt travel (m) and of its rate (m/s) per m or rad of error,
+            shape (2 * coordinates, sensors).
         reading: Simulated readings, in the sensors' units, shape (sensors, LANES).
         innovation: Room for the differences, in the sensors' units, shape (sensors, LANES).
         state: State, corrected in place, shape (rows, LANES).
@@ -209,8 +217,8 @@ def hold_inputs(
         inputs: Voltages, V, shape (1 or B, N, drives).
         extra: External forces along the belt travel, N, shape (1 or B, rows, coordinates).
         drive_delays: Delay of each drive, s, shape (drives, LANES).
-        voltages: Output, V, shape (drives, LANES); if a drive has a delay, the mean voltages of every step, shape
-            (steps * drives, LANES).
+        voltages: Output, V, shape (drives, LANES); if a drive has a delay, the mean voltages of every step,
+            shape (steps * drives, LANES).
         external_forces: Output, N, shape (coordinates, LANES).
     """
     for k in range(drive_delays.shape[0]):
@@ -263,16 +271,22 @@ def rollout(
         time: Sample times, s, shape (N,).
         inputs: Voltages, V, shape (1 or B, N, drives), held until the next sample.
         parameters: Machine parameters, SI, shape (B, parameters).
-        start: First state without its time: belt travel (radius * angle), m, rate, m/s, effects, shape (B, rows - 1).
-        measured: Measurements to correct the state, in the sensors' units, shape (1 or B, rows, sensors), NaN where
-            missing; or empty.
-        gains: Change of travel and its rate per error, m and m/s per m or rad, shape (2 * coordinates, sensors).
+        start: First state without its time: belt travel (radius * angle), m, rate, m/s, effects,
+            shape (B, rows - 1).
+        measured: Measurements to correct the state, in the sensors' units, shape (1 or B, rows, sensors), NaN
+            where missing; or empty.
+        gains: Change of travel and its rate per error, m and m/s per m or rad,
+            shape (2 * coordinates, sensors).
         offsets: Added to the readings of each machine, in the sensors' units, shape (B, sensors); or empty.
-        extra: External forces, N, held until the next row, shape (1 or B, rows, coordinates); used if they act.
+        extra: External forces, N, held until the next row, shape (1 or B, rows, coordinates); used if they
+            act.
         longest_step: Largest step of the integrator, s.
-        every: Samples from one row of the recording to the next: more than one if voltages change between the rows.
-        out: Output, first k rows of the state (travel, m; its rate, m/s) in the rows, shape (B, rows, k), or empty.
-        readings: Output, sensor readings, in the sensors' units, shape (B, rows, sensors); empty if not needed.
+        every: Samples from one row of the recording to the next: more than one if voltages change between the
+            rows.
+        out: Output, first k rows of the state (travel, m; its rate, m/s) in the rows, shape (B, rows, k), or
+            empty.
+        readings: Output, sensor readings, in the sensors' units, shape (B, rows, sensors); empty if not
+            needed.
     """
     prepare, voltage_delays, advance, read_sensors, measurement_delays = functions
     coordinates, rows, drives, sensors, constants, derived_rows = sizes
@@ -343,7 +357,7 @@ def rollout(
 
 @compiled
 def prepare_blocks(prepare: int, parameters, h: float, first: int, last: int, derived) -> None:
-    """Compute the constants that a step needs (decay factors, reciprocals, ...) for the machines of some blocks.
+    """Compute the constants that a step needs (decay factors, reciprocals, ...) for blocks of machines.
 
     Args:
         parameters: Machine parameters, SI, shape (blocks, parameters, LANES).
@@ -372,7 +386,8 @@ def advance_blocks(
     Args:
         state: Belt travel (m), its rate (m/s), time (s) and effect states, shape (blocks, rows, LANES).
         parameters: Machine parameters, SI, shape (blocks, parameters, LANES).
-        derived: Constants that `prepare_blocks` computes from parameters and h, shape (blocks, constants, LANES).
+        derived: Constants that `prepare_blocks` computes from parameters and h,
+            shape (blocks, constants, LANES).
         inputs: Voltages, V, shape (blocks, drives, LANES); if a drive is delayed, one set per step, shape
             (blocks, steps * drives, LANES).
         h: Step of the integrator, s.
@@ -397,7 +412,7 @@ def read_blocks(read_sensors: int, state, parameters, first: int, last: int, rea
 
 @compiled
 def delay_blocks(delays: int, parameters, first: int, last: int, out) -> None:
-    """Compute the delays of drives or sensors, whose function is at the address `delays`, for blocks first..last-1.
+    """Compute the delays of drives or sensors, by the function at `delays`, for blocks first..last-1.
 
     Args:
         parameters: Parameters of the machines, SI, shape (blocks, parameters, LANES).

@@ -1,1 +1,1 @@
-"""What a person reads: equations of motion, belts, friction, signals, the specified integration step, linearization."""
+"""What a person reads: equations of motion, belts, friction, signals, integration step, linearization."""

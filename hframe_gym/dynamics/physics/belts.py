@@ -1,4 +1,4 @@
-"""Belts: extension, stiffness, tension and the forces on the coordinates; see `equations` for the formulas."""
+"""Belts: extension, stiffness, tension and forces on the coordinates; see `equations` for the formulas."""
 
 from __future__ import annotations
 
@@ -18,8 +18,10 @@ class BeltState(NamedTuple):
         rate: Rate ds/dt, m/s.
         stiffness: Stiffness k = EA / l, N/m, with the length l, m.
         tension: Tension T beyond the pretension, N.
-        stiffness_force: Force e = -(1/2) s^2 dk/dl, N, due to the change of stiffness with length; 0 for constant k.
-        net_tension: T - e, N: force of the belt on a coordinate that changes extension and length by equal amounts.
+        stiffness_force: Force e = -(1/2) s^2 dk/dl, N, due to the change of stiffness with length; 0 for
+            constant k.
+        net_tension: T - e, N: force of the belt on a coordinate that changes extension and length by equal
+            amounts.
     """
 
     extension: Value
@@ -34,16 +36,16 @@ class BeltEquations(ParameterizedMachine):
     """Equations of the belts of one machine.
 
     Args:
-        values: Parameter values (floats, arrays or symbolic expressions) by full name, for example "left.EA"; other
-            parameters keep the machine's values.
+        values: Parameter values (floats, arrays or symbolic expressions) by full name, for example "left.EA";
+            other parameters keep the machine's values.
     """
 
     @property
     def nonlinear_belts(self) -> bool:
         """Whether an effect makes the force of a belt nonlinear.
 
-        The integrator then evaluates the belts at both points of a step; otherwise it extrapolates their forces from
-        the half-way point with constant stiffness.
+        The integrator then evaluates the belts at both points of a step; otherwise it extrapolates their
+        forces from the half-way point with constant stiffness.
         """
         return any(e.definition.tension or e.definition.belt_travel for e in self.machine.effects)
 
@@ -56,7 +58,8 @@ class BeltEquations(ParameterizedMachine):
             if not length_row:
                 extensions.append(named("extension", b, combination(row, travel)))
                 continue
-            # The carriage's displacement changes extension and length equally; motors change the extension only.
+            # The carriage's displacement changes extension and length equally; motors change the extension
+            # only.
             displacement = named("displacement", b, combination(length_row, travel))
             shared = all(row.get(i) == factor for i, factor in length_row.items())
             rest = {i: factor for i, factor in row.items() if not shared or i not in length_row}
@@ -72,7 +75,7 @@ class BeltEquations(ParameterizedMachine):
         return [self._belt_state(b, s, rates[b], per_length.get(b)) for b, s in enumerate(extensions)]
 
     def constant_stiffness(self, b: int) -> Value:
-        """Return the stiffness EA / rest length, N/m, of belt b, whose length does not depend on the position."""
+        """Return the stiffness EA / rest length, N/m, of belt b, whose length does not depend on position."""
         name = self.machine.belts[b].name
         return self.parameter(f"{name}.EA") / self.parameter(f"{name}.rest_length")
 
@@ -154,7 +157,8 @@ class BeltEquations(ParameterizedMachine):
 def combination(row: IndexRow, values: Sequence[Value]) -> Value:
     """Return the sum of row[i] * values[i] over the indices i in `row`; 0.0 without any.
 
-    Terms with positive factors come first, because generated code with a minus at the beginning costs an instruction.
+    Terms with positive factors come first, because generated code with a minus at the beginning costs an
+    instruction.
     """
     terms = sorted(((i, factor) for i, factor in row.items() if factor), key=lambda term: term[1] < 0)
     if not terms:
@@ -175,8 +179,8 @@ def add_combination(total: Value, row: IndexRow, values: Sequence[Value]) -> Val
 def reciprocals(values: Sequence[Value]) -> list[Value]:
     """Return the reciprocal of each value; a simulation kernel divides once for up to three values.
 
-    A division costs as much as ten multiplications. With p = 1 / (a b c), the reciprocals are 1/a = p c b, 1/b = p c a
-    and 1/c = p a b. They may differ from the results of separate divisions in the last digits.
+    A division costs as much as ten multiplications. With p = 1 / (a b c), the reciprocals are 1/a = p c b,
+    1/b = p c a and 1/c = p a b. They may differ from the results of separate divisions in the last digits.
     """
     if not any(isinstance(value, Expression) for value in values):  # no kernel is being generated
         return [1.0 / value for value in values]

@@ -1,8 +1,8 @@
 """Effects of a machine and laws of its drives, listed once for each component on which they act.
 
-An effect with the site "drives" acts on every drive, one at "belts" on every belt, and one at "machine" on every
-coordinate, always with the same parameters. Each of these instances has a separate state, for example the current of
-its motor.
+An effect with the site "drives" acts on every drive, one at "belts" on every belt, and one at "machine" on
+every coordinate, always with the same parameters. Each of these instances has a separate state, for example
+the current of its motor.
 """
 
 from __future__ import annotations
@@ -18,11 +18,13 @@ class EffectInstance:
 
     Attributes:
         effect: The effect as the machine has it; its label gives the names of its parameters.
-        component: Name of the coordinate, drive, belt or sensor channel, or "machine" for a structural effect.
-        coordinate: Index of the coordinate on which the effect acts; for an effect on a drive, index of the coordinate
-            that the drive moves; -1 for effects on belts and sensors.
-        state_coordinate: Index of the coordinate whose motion changes the state of the effect, if it has one: usually
-            `coordinate`, but for a table over the path of another coordinate, that one. -1 for belts and sensors.
+        component: Name of the coordinate, drive, belt or sensor channel, or "machine" for a structural
+            effect.
+        coordinate: Index of the coordinate on which the effect acts; for an effect on a drive, index of the
+            coordinate that the drive moves; -1 for effects on belts and sensors.
+        state_coordinate: Index of the coordinate whose motion changes the state of the effect, if it has one:
+            usually `coordinate`, but for a table over the path of another coordinate, that one. -1 for belts
+            and sensors.
     """
 
     effect: AppliedEffect
@@ -34,7 +36,8 @@ class EffectInstance:
 def effect_instances(machine: Machine) -> list[EffectInstance]:
     """List every effect of a machine once for each component on which it acts, such as once per belt.
 
-    The laws of drives come first, then the machine's effects in their order, each in that of the machine's components.
+    The laws of drives come first, then the machine's effects in their order, each in that of the machine's
+    components.
     """
     # An unknown name, such as that of a belt or sensor, gives the index -1: no coordinate.
     index = {name: i for i, name in enumerate(machine.coordinate_names)}
@@ -49,7 +52,7 @@ def effect_instances(machine: Machine) -> list[EffectInstance]:
 
 
 def instances_with_state(machine: Machine) -> list[EffectInstance]:
-    """List the effect instances that have a state, such as a bristle deflection, in an initial state's order."""
+    """List the effect instances that have a state, such as a deflection, in an initial state's order."""
     return [instance for instance in effect_instances(machine) if instance.effect.definition.next_state]
 
 

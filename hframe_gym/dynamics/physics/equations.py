@@ -2,20 +2,22 @@
 
 For the belt travel p of each coordinate (p = radius * angle for a pulley), in N and m:
 
-    m dv/dt = f_belts + f_drive + f_effects - b v - F sign(v)                                      (eq. 1-8, 36-37)
+    m dv/dt = f_belts + f_drive + f_effects - b v - F sign(v)                              (eq. 1-8, 36-37)
 
-    belt i:   s = G p,  l = L + H p,  k = EA / l,  T = k s                                         (eq. 38-44)
-              f_belts = -G' T - (1/2) s^2 dk/dp,  dk/dp = -(k / l) H        (Sollmann et al. omit the second term)
-    drive j:  f_drive = N Kt i / r,  i = (V - Ke N w) / R            (eq. 17, with the gear ratio that it omits)
+    belt i:   s = G p,  l = L + H p,  k = EA / l,  T = k s                                 (eq. 38-44)
+              f_belts = -G' T - (1/2) s^2 dk/dp,  dk/dp = -(k / l) H (Sollmann et al. omit the second term)
+    drive j:  f_drive = N Kt i / r,  i = (V - Ke N w) / R    (eq. 17, with the gear ratio that it omits)
 
-At v = 0 Coulomb friction is a set: any force up to F. The back electromotive force Ke N w is part of the viscous
-coefficient b. Effects enter at the places that `hframe_gym.machine.Effect` lists.
+At v = 0 Coulomb friction is a set: any force up to F. The back electromotive force Ke N w is part of the
+viscous coefficient b. Effects enter at the places that `hframe_gym.machine.Effect` lists.
 
-Values are floats, NumPy arrays (one entry per machine, per sample, or (variants, 1) against (samples,)), traced
-expressions from which `kernel_source` generates the simulation kernel (compiled code), or CasADi expressions.
+Values are floats, NumPy arrays (one entry per machine, per sample, or (variants, 1) against (samples,)),
+traced expressions from which `kernel_source` generates the simulation kernel (compiled code), or CasADi
+expressions.
 
 References:
-    Sollmann, Jouaneh and Lavender (2010), Dynamic Modeling of a Two-Axis, Parallel, H-Frame-Type XY Positioning System.
+    Sollmann, Jouaneh and Lavender (2010), Dynamic Modeling of a Two-Axis, Parallel, H-Frame-Type XY
+    Positioning System.
 """
 
 from __future__ import annotations
@@ -45,11 +47,11 @@ class ForceBalance(NamedTuple):
     """Forces along the belt travel of each coordinate (torque / radius for a pulley), N.
 
     Attributes:
-        forces: Sum of all forces on each coordinate except viscous and Coulomb friction. The integrator keeps it
-            constant over a step.
+        forces: Sum of all forces on each coordinate except viscous and Coulomb friction. The integrator keeps
+            it constant over a step.
         coulomb: Coulomb friction force F (magnitude) of each coordinate; zero where an effect replaces it.
-        arguments: Arguments of the formula `next_state` of effects, by index in `instances`, then by name: "level", the
-            Coulomb friction force, N or Nm, or what an effect on a drive takes (`effect_state`).
+        arguments: Arguments of the formula `next_state` of effects, by index in `instances`, then by name:
+            "level", the Coulomb friction force, N or Nm, or what an effect on a drive takes (`effect_state`).
     """
 
     forces: list[Value]
@@ -63,18 +65,19 @@ class Equations(SignalEquations):
     All forces act along the belt travel of a coordinate: N on a carriage, torque / radius (N) on a pulley.
 
     Args:
-        values: Parameter values (floats, arrays or symbolic expressions) by full name, for example "x.mass"; other
-            parameters keep the machine's values.
+        values: Parameter values (floats, arrays or symbolic expressions) by full name, for example "x.mass";
+            other parameters keep the machine's values.
     """
 
-    # -- drives ----------------------------------------------------------------------------------------------------
+    # -- drives
+    # ----------------------------------------------------------------------------------------------------
 
     def add_drive_forces(self, forces: Sequence[Value], motor_voltages: Sequence[Value]) -> list[Value]:
         """Add the force of each drive at standstill to the force on the one coordinate that it moves, N.
 
-        With gear ratio N, torque constant Kt, voltage V, resistance R and radius r of the driven pulley, the force is
-        N Kt V / (R r). The viscous coefficient contains the back-EMF (eq. 17 of Sollmann et al. 2010). The force of a
-        drive with a law is not added; it depends on the motion.
+        With gear ratio N, torque constant Kt, voltage V, resistance R and radius r of the driven pulley, the
+        force is N Kt V / (R r). The viscous coefficient contains the back-EMF (eq. 17 of Sollmann et al.
+        2010). The force of a drive with a law is not added; it depends on the motion.
         """
         result = list(forces)
         for j, voltage in enumerate(motor_voltages):
@@ -90,11 +93,11 @@ class Equations(SignalEquations):
         return self.add_drive_forces(none, motor_voltages)[i]
 
     def ohmic_current(self, j: int, point: MotionPoint, motor_voltage: Value) -> Value:
-        """Return the current (V - Ke N w) / R of drive j, A, without inductance (eq. 17 of Sollmann et al. 2010).
+        """Return drive j's current (V - Ke N w) / R, A, without inductance (eq. 17 of Sollmann et al. 2010).
 
-        V is the motor voltage, Ke the back-EMF constant, N the gear ratio (which eq. 17 omits), w the speed of the
-        drive's coordinate (rad/s or m/s), and R the resistance. For a drive with a law it is the torque of its damping
-        alone, which the viscous coefficient contains; the law replaces it.
+        V is the motor voltage, Ke the back-EMF constant, N the gear ratio (which eq. 17 omits), w the speed
+        of the drive's coordinate (rad/s or m/s), and R the resistance. For a drive with a law it is the
+        torque of its damping alone, which the viscous coefficient contains; the law replaces it.
         """
         speed = self.speed(point, self.drive_coordinates[j])
         drive = self.drives[j]
@@ -125,7 +128,7 @@ class Equations(SignalEquations):
         current: Value,
         arguments: dict[int, dict[str, Value]],
     ) -> Value:
-        """Apply effects on its set point and current, and the law, of drive j to the current by Ohm's law, A."""
+        """Apply effects on set point and current, and the law, of drive j to the current by Ohm's law, A."""
         command = motor_voltages[j]
         for k, e in self.effects_at("set_point", self.machine.drives[j].name):
             quantities = {"V": command, "q": self.position(point, self.drive_coordinates[j])}
@@ -162,7 +165,7 @@ class Equations(SignalEquations):
     def _drawn_power(
         self, effect: AppliedEffect, point: MotionPoint, motor_voltages: Sequence[Value]
     ) -> dict[str, Value]:
-        """Return the power that the drives of an effect draw together by Ohm's law, and that at standstill, W."""
+        """Return the power that an effect's drives draw together by Ohm's law, and that at standstill, W."""
         drives = effect.components(self.machine)
         power, stall_power = 0.0, 0.0
         for j, (drive, voltage) in enumerate(zip(self.machine.drives, motor_voltages, strict=True)):
@@ -172,26 +175,27 @@ class Equations(SignalEquations):
         return {"power": power, "stall_power": stall_power}
 
     def current(self, j: int, point: MotionPoint, motor_voltages: Sequence[Value]) -> Value:
-        """Return the current of a drive with its law and the effects on it, such as a limit or an inductance's lag.
+        """Return a drive's current with its law and the effects on it, such as a limit or inductance.
 
         Args:
-            point: Belt travel (position, or radius * angle of a pulley), m, and its rate, m/s, of every coordinate, and
-                the states of the effects.
+            point: Belt travel (position, or radius * angle of a pulley), m, and its rate, m/s, of every
+                coordinate, and the states of the effects.
             motor_voltages: Voltage at each motor, V: floats, arrays of one shape or symbolic expressions.
 
         Returns:
-            Current, A (for a drive of torques or with a law, torque of the motor shaft, Nm): float, array of that shape
-            or symbolic expression.
+            Current, A (for a drive of torques or with a law, torque of the motor shaft, Nm): float, array of
+            that shape or symbolic expression.
         """
         ohmic = self.ohmic_current(j, point, motor_voltages[j])
         return self._changed_current(j, point, motor_voltages, ohmic, {})
 
-    # -- forces ----------------------------------------------------------------------------------------------------
+    # -- forces
+    # ----------------------------------------------------------------------------------------------------
 
     def force_balance(
         self, point: MotionPoint, motor_voltages: Sequence[Value], forces: Sequence[Value]
     ) -> ForceBalance:
-        """Add the forces of effects to the forces of belts and drives, and determine the Coulomb friction force.
+        """Add the forces of effects to those of belts and drives, and determine the Coulomb friction force.
 
         Back-EMF counts as viscous friction and is in none of the forces.
 
@@ -232,7 +236,7 @@ class Equations(SignalEquations):
     def _coulomb_level(
         self, i: int, point: MotionPoint, motor_voltages: Sequence[Value], changes: Sequence[Value]
     ) -> Value:
-        """Return the Coulomb friction force of coordinate i, N, never negative; `changes`: drive forces by effects."""
+        """Return coordinate i's Coulomb friction, N, never negative; `changes`: drive forces by effects."""
         level = self.coulomb(i)
         # Effects that scale the friction force come after those that add to it.
         effects = sorted(
@@ -259,7 +263,7 @@ class Equations(SignalEquations):
         return self.evaluate(effect, "force", self._with_state(k, i, point)) * self.per_radius(i)
 
     def _with_guarded_forces(self, forces: list[Value], point: MotionPoint) -> list[Value]:
-        """Add the forces that vanish for most machines; a kernel evaluates them only where one of them acts."""
+        """Add the forces that vanish for most machines; a kernel evaluates them only where one acts."""
         guarded = [
             k
             for k, e in enumerate(self.instances)
@@ -351,8 +355,8 @@ class Equations(SignalEquations):
 
         Args:
             voltages: Commanded voltage of each drive, V, after its delay.
-            direction: Function of the speed, m/s, that gives the direction of the motion in [-1, 1]: `sign`, or for
-                optimization a smooth function such as tanh(v / v0) with a small speed v0.
+            direction: Function of the speed, m/s, that gives the direction of the motion in [-1, 1]: `sign`,
+                or for optimization a smooth function such as tanh(v / v0) with a small speed v0.
             belt_forces: As in `balance`.
         """
         forces, coulomb, _ = self.balance(point, voltages, belt_forces)
@@ -365,10 +369,11 @@ class Equations(SignalEquations):
     def accelerations(
         self, point: MotionPoint, voltages: Sequence[Value], direction: Callable[[Value], Value] = sign
     ) -> list[Value]:
-        """Return the acceleration of each coordinate along its belt travel, m/s^2: `net_forces` divided by mass."""
+        """Return each coordinate's acceleration along its belt travel, m/s^2: net force divided by mass."""
         return [force / self.mass(i) for i, force in enumerate(self.net_forces(point, voltages, direction))]
 
-    # -- arrays ----------------------------------------------------------------------------------------------------
+    # -- arrays
+    # ----------------------------------------------------------------------------------------------------
 
     def point(
         self,
@@ -383,8 +388,8 @@ class Equations(SignalEquations):
             positions: Positions, m or rad, real or complex, shape (..., coordinates).
             velocities: Velocities, m/s or rad/s, shape (..., coordinates); None: at rest.
             time_s: Time since the machine was switched on, s, shape (...).
-            effect_states: State of each effect that has one (bristle deflection, motor current, ...), SI, shape (...)
-                each, by index in `instances`; None: all zero.
+            effect_states: State of each effect that has one (bristle deflection, motor current, ...), SI,
+                shape (...) each, by index in `instances`; None: all zero.
         """
         q = 1.0 * np.asarray(positions)  # real or complex
         v = np.zeros_like(q) if velocities is None else 1.0 * np.asarray(velocities)

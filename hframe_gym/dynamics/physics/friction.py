@@ -2,13 +2,13 @@
 
     m dv/dt = f - b v - F sign(v)         (eq. 36-37; at v = 0 friction is a set: |friction| <= F)
 
-With f, b and F constant over a step, v approaches (f - F sign v)/b exponentially. If it reaches zero it stays there
-where |f| <= F, and reverses otherwise. Every case has a closed form, so nothing is regularized: a machine that static
-friction holds does not creep. Viscous friction may depend on the direction of motion.
+With f, b and F constant over a step, v approaches (f - F sign v)/b exponentially. If it reaches zero it stays
+there where |f| <= F, and reverses otherwise. Every case has a closed form, so nothing is regularized: a
+machine that static friction holds does not creep. Viscous friction may depend on the direction of motion.
 
-The functions are formulas of the kernel, where their operands are SIMD registers (one float per lane, one lane per
-machine); they work on NumPy arrays as well. SI units; the position of a coordinate is its belt travel, m (radius *
-angle of a rotary one), and forces act along it.
+The functions are formulas of the kernel, where their operands are SIMD registers (one float per lane, one
+lane per machine); they work on NumPy arrays as well. SI units; the position of a coordinate is its belt
+travel, m (radius * angle of a rotary one), and forces act along it.
 """
 
 from __future__ import annotations
@@ -17,14 +17,16 @@ from typing import Any
 
 from ..symbolic.elementwise import absolute, any_of, copysign, exp, fma, where
 
-# Argument b h / m up to which the series are accurate to 1e-12; strongly damped machines beyond it use the exponential.
+# Argument b h / m up to which the series are accurate to 1e-12; strongly damped machines beyond it use the
+# exponential.
 _SMALL = 0.5
 
 
 def decay_integral(z: Any) -> Any:
-    """Return (1 - exp(-z)) / z, the factor by which viscous friction reduces the speed that a force adds in a step.
+    """Return (1 - exp(-z)) / z, the factor by which viscous friction reduces a step's change of speed.
 
-    A constant force f changes the speed by f h / m * decay_integral(b h / m) in a step of length h; 1 without damping.
+    A constant force f changes the speed by f h / m * decay_integral(b h / m) in a step of length h; 1 without
+    damping.
     """
     # Taylor series to z**10 in Horner's form, because the closed form cancels for small z.
     p = fma(z, -1.0 / 39916800.0, 1.0 / 3628800.0)
@@ -45,10 +47,10 @@ def decay_integral(z: Any) -> Any:
 
 
 def end_weight(z: Any) -> Any:
-    """Return the weight, in [1/2, 1), of the final speed in the mean speed of a step with damping z = b h / m.
+    """Return the weight, in [1/2, 1), of a final speed in the mean speed of a step with damping z = b h / m.
 
-    The mean is (1 - w) v0 + w v1 for initial speed v0, final speed v1 and the weight w = 1/(1 - exp(-z)) - 1/z, if the
-    force is constant. For small z this is the trapezoidal rule, w = 1/2.
+    The mean is (1 - w) v0 + w v1 for initial speed v0, final speed v1 and the weight w = 1/(1 - exp(-z)) -
+    1/z, if the force is constant. For small z this is the trapezoidal rule, w = 1/2.
     """
     square = z * z
     # Bernoulli series 1/2 + z/12 - z**3/720 + ..., because the closed form cancels for small z.
@@ -69,7 +71,8 @@ def ramp(z: Any) -> Any:
     Under a constant force f, a mass m moves by f t**2 / m * ramp(b t / m) in the time t. Without damping it
     is 1/2; z is negative for motion reversed in time.
     """
-    # Taylor series to z**8, relative remainder 2e-13 for |z| <= 1/4; in pairs, to shorten the chain of dependent terms.
+    # Taylor series to z**8, relative remainder 2e-13 for |z| <= 1/4; in pairs, to shorten the chain of
+    # dependent terms.
     q = z * z
     low = fma(q, fma(z, -1.0 / 120.0, 1.0 / 24.0), fma(z, -1.0 / 6.0, 0.5))
     high = fma(q, fma(z, -1.0 / 362880.0, 1.0 / 40320.0), fma(z, -1.0 / 5040.0, 1.0 / 720.0))
@@ -83,7 +86,7 @@ def ramp(z: Any) -> Any:
 
 
 def direction(v: Any, f: Any) -> Any:
-    """Return a number whose sign is the direction of motion: the speed v or, where this is zero, the force f."""
+    """Return a number whose sign is the direction of motion: the speed v or, if zero, the force f."""
     return where(v == 0.0, f, v)
 
 
@@ -94,15 +97,15 @@ def static_friction(f: Any, coulomb: Any) -> Any:
 
 
 def friction_force(v: Any, f: Any, coulomb: Any) -> Any:
-    """Return the dry friction force, N, to be subtracted from f: F sign(v) in motion, static friction at rest."""
+    """Return the dry friction, N, to be subtracted from f: F sign(v) in motion, static friction at rest."""
     return where(v == 0.0, static_friction(f, coulomb), copysign(coulomb, v))
 
 
 def update_speed(v: Any, f: Any, coulomb: Any, decay: Any, gain: Any) -> Any:
     """Return the speed after one step of length h, m/s, if it does not cross zero within the step.
 
-    Where the result and v have opposite signs, it does cross zero: the result is invalid, and `stop_or_reverse` gives
-    the speed.
+    Where the result and v have opposite signs, it does cross zero: the result is invalid, and
+    `stop_or_reverse` gives the speed.
 
     Args:
         v: Speed before the step, m/s.
@@ -119,8 +122,9 @@ def stop_or_reverse(
 ) -> Any:
     """Compute final speed, m/s, and distance, m, of a step of length h in which the coordinate comes to rest.
 
-    The coordinate decelerates to rest. Then it stays at rest if static friction holds it (|f| <= F); otherwise it
-    reverses for the remaining time. The result is valid only where `update_speed` changes the sign of the speed.
+    The coordinate decelerates to rest. Then it stays at rest if static friction holds it (|f| <= F);
+    otherwise it reverses for the remaining time. The result is valid only where `update_speed` changes the
+    sign of the speed.
 
     Args:
         v: Speed before the step, m/s.

@@ -1,7 +1,8 @@
 """Linearization of the equations of motion about rest: stiffness, state space and natural frequencies.
 
-The derivatives are exact to rounding, because the equations are differentiated by a complex step: for an analytic
-function f, f'(x) = Im f(x + i h) / h up to an error of order h^2. There is no cancellation, so that h can be tiny.
+The derivatives are exact to rounding, because the equations are differentiated by a complex step: for an
+analytic function f, f'(x) = Im f(x + i h) / h up to an error of order h^2. There is no cancellation, so that
+h can be tiny.
 
 References:
     Squire and Trapp (1998), Using Complex Variables to Estimate Derivatives of Real Functions.
@@ -24,7 +25,8 @@ _SHORTEST_PART = 0.01  # of the longest step
 # Voltages that jump by 4 V and act 0.43 ms later: 6 um of error at 0.125 ms, 0.3 um at 0.05 ms.
 _STEP_WITH_DELAY = 0.4
 _MAX_PHASE = 0.75  # rad per integration step; the 20th-order H-frame has 0.73 at 0.5 ms
-_STEP = 1e-40  # complex step; its square vanishes beside every number of interest, and its products do not underflow
+# Complex step; its square vanishes beside every number of interest, and its products do not underflow.
+_STEP = 1e-40
 _RIGID_EIGENVALUE = 1e-9  # eigenvalues below this fraction of the largest one belong to rigid-body modes
 
 
@@ -32,10 +34,12 @@ class StateSpace(NamedTuple):
     """Linear model x' = A x + B u, y = C x + D u: deviations from rest at an operating point.
 
     Attributes:
-        A: System matrix, shape (states, states). States are all positions (m, rad), then all velocities (m/s, rad/s).
+        A: System matrix, shape (states, states). States are all positions (m, rad), then all velocities (m/s,
+            rad/s).
         B: Input matrix, shape (states, drives); inputs are voltages, V.
         C: Output matrix, shape (sensors, states); outputs are sensor readings in their units.
-        D: Feedthrough matrix, shape (sensors, drives); zero unless a sensor measures a current or an acceleration.
+        D: Feedthrough matrix, shape (sensors, drives); zero unless a sensor measures a current or an
+            acceleration.
     """
 
     A: Array
@@ -47,13 +51,14 @@ class StateSpace(NamedTuple):
 def stiffness_matrix(machine: Machine, position: ArrayLike | None = None) -> Array:
     """Return the stiffness matrix of the belts: the negative derivative of the belt forces by the positions.
 
-    It equals G' diag(k) G, where G is the extension of each belt per unit of each coordinate and k the stiffness of
-    each belt at the operating point. It is differentiated by a complex step, exact to rounding (Squire and Trapp 1998).
+    It equals G' diag(k) G, where G is the extension of each belt per unit of each coordinate and k the
+    stiffness of each belt at the operating point. It is differentiated by a complex step, exact to rounding
+    (Squire and Trapp 1998).
 
     Args:
         machine: Machine; its effects are left out. Without belts the result is zero.
-        position: One or several operating points with unstretched belts: position of every coordinate, m or rad, shape
-            (..., coordinates). Default: one operating point, all positions zero.
+        position: One or several operating points with unstretched belts: position of every coordinate, m or
+            rad, shape (..., coordinates). Default: one operating point, all positions zero.
 
     Returns:
         Stiffness, shape (..., coordinates, coordinates), row: force, column: displacement. N/m between linear
@@ -72,13 +77,13 @@ def stiffness_matrix(machine: Machine, position: ArrayLike | None = None) -> Arr
 def linearize(machine: Machine, position: ArrayLike | None = None) -> StateSpace:
     """Linearize the equations of motion about rest, without Coulomb friction and effects.
 
-    A drive with a law is linear about its set point; the memory of its controller keeps its value. The back-EMF of a
-    drive acts as viscous friction of its coordinate. The equations are differentiated by a complex step, exact to
-    rounding (Squire and Trapp 1998). `StateSpace` states the shape of each matrix.
+    A drive with a law is linear about its set point; the memory of its controller keeps its value. The
+    back-EMF of a drive acts as viscous friction of its coordinate. The equations are differentiated by a
+    complex step, exact to rounding (Squire and Trapp 1998). `StateSpace` states the shape of each matrix.
 
     Args:
-        position: Operating point with unstretched belts: position of every coordinate, m or rad, shape (coordinates,).
-            Default: zeros.
+        position: Operating point with unstretched belts: position of every coordinate, m or rad,
+            shape (coordinates,). Default: zeros.
 
     References:
         Sollmann, Jouaneh and Lavender (2010), eq. 20-24.
@@ -103,8 +108,8 @@ def evaluate_beside_rest(
 
     Args:
         position: Position of every coordinate at rest, m or rad, shape (n,).
-        deviations: Deviations of n positions and n velocities, m or rad and per s, and voltages, V, real or complex,
-            shape (rows, 2 n + drives).
+        deviations: Deviations of n positions and n velocities, m or rad and per s, and voltages, V, real or
+            complex, shape (rows, 2 n + drives).
 
     Returns:
         Accelerations, m/s^2 or rad/s^2, shape (rows, n), and sensors' readings, shape (rows, sensors).
@@ -124,10 +129,10 @@ def evaluate_beside_rest(
 
 
 def mode_frequencies(machine: Machine, position: ArrayLike | None = None) -> Array:
-    """Return the undamped natural frequencies of the masses on the belts, Hz, ascending, shape (coordinates,).
+    """Return the undamped natural frequencies of masses on the belts, Hz, ascending, shape (coordinates,).
 
-    They are sqrt(eigenvalues of M^-1 K) / (2 pi) with the masses M and the stiffness matrix K, and exactly zero for
-    rigid-body modes, which stretch no belt.
+    They are sqrt(eigenvalues of M^-1 K) / (2 pi) with the masses M and the stiffness matrix K, and exactly
+    zero for rigid-body modes, which stretch no belt.
 
     Args:
         machine: Machine with any number of belts; its effects are left out.
@@ -143,20 +148,21 @@ def mode_frequencies(machine: Machine, position: ArrayLike | None = None) -> Arr
 
 
 def belt_modes(machine: Machine) -> list[float]:
-    """Return the frequencies at which the masses vibrate on the belts, Hz, ascending; empty without elastic belts."""
+    """Return the frequencies of the masses on the belts, Hz, ascending; empty without elastic belts."""
     return [float(frequency) for frequency in mode_frequencies(machine) if frequency > 0.0]
 
 
 def resolved_step(machine: Machine, longest_step: float) -> float:
-    """Return an integration step, s, that resolves the fastest vibration and delays, at most `longest_step`, s.
+    """Return an integration step, s, that resolves the fastest vibration and delays, up to `longest_step`, s.
 
-    Steps that are too long for a stiff belt change the frequency of its vibration, and much longer ones make the
-    integrator diverge. The step is therefore at most 0.75 / the highest natural frequency (rad/s) at position 0, or
-    0.75 / the largest eigenvalue of the linear model where a drive follows a set point. It is shorter for voltages that
-    act with a delay: they change inside a step, whose error falls with the square of its length.
+    Steps that are too long for a stiff belt change the frequency of its vibration, and much longer ones make
+    the integrator diverge. The step is therefore at most 0.75 / the highest natural frequency (rad/s) at
+    position 0, or 0.75 / the largest eigenvalue of the linear model where a drive follows a set point. It is
+    shorter for voltages that act with a delay: they change inside a step, whose error falls with the square
+    of its length.
 
-    The step is at least a hundredth of `longest_step`. A machine that needs shorter ones has a wrong mass or stiffness,
-    and its simulation then ends with an error instead of running out of memory.
+    The step is at least a hundredth of `longest_step`. A machine that needs shorter ones has a wrong mass or
+    stiffness, and its simulation then ends with an error instead of running out of memory.
     """
     return max(_resolving_step(machine, longest_step), _SHORTEST_PART * longest_step)
 
@@ -175,14 +181,14 @@ def _resolving_step(machine: Machine, longest_step: float) -> float:
 
 
 def _operating_point(machine: Machine, position: ArrayLike | None) -> tuple[Equations, Array]:
-    """Return the equations of a machine without its effects, and the operating point as an array of floats."""
+    """Return the equations of a machine without its effects, and the operating point as an array."""
     equations = Equations(dataclasses.replace(machine, effects=()))
     count = len(machine.coordinates)
     return equations, np.zeros(count) if position is None else np.asarray(position, float)
 
 
 def matrix_exponential(matrix: Array) -> Array:
-    """Compute the exponential of a dimensionless `matrix`, shape (n, n), to the same bits for any number of threads."""
+    """Compute the exponential of a dimensionless `matrix`, shape (n, n), equal to the bit for any threads."""
     from scipy.linalg import expm
 
     with single_threaded_linear_algebra():

@@ -12,8 +12,8 @@ from ..symbolic.elementwise import named
 from ..symbolic.tracing import describe_formula_error
 from .effect_instances import effect_instances
 
-# A float, an array or a symbolic expression (of the kernel's source text, or of CasADi). The arrays of a call have one
-# common shape: that of samples, or of variants of the machine.
+# A float, an array or a symbolic expression (of the kernel's source text, or of CasADi). The arrays of a call
+# have one common shape: that of samples, or of variants of the machine.
 Value = Any
 IndexRow = Mapping[int, float]
 
@@ -26,10 +26,10 @@ class MotionPoint:
         travel: Belt travel of each coordinate, m (radius * angle of a rotary one).
         speed: Rate of the belt travel, m/s.
         time: Time since the machine was switched on, s.
-        effect_states: State of each effect that has one (bristle deflection, motor current, ...), in its unit, by its
-            index in `ParameterizedMachine.instances`.
-        elapsed: Time that has passed since `effect_states` were valid, s; None if they are those of this point. In a
-            step of the integrator it is half of the step, of which this point is the middle.
+        effect_states: State of each effect that has one (bristle deflection, motor current, ...), in its
+            unit, by its index in `ParameterizedMachine.instances`.
+        elapsed: Time that has passed since `effect_states` were valid, s; None if they are those of this
+            point. In a step of the integrator it is half of the step, of which this point is the middle.
         gained: Change of `speed` in this step, m/s; None: not known, and taken as zero.
     """
 
@@ -60,7 +60,8 @@ class ParameterizedMachine:
         self._values: dict[str, Value] = {**machine.parameters, **(values or {})}
         names = machine.coordinate_names
         index = {name: i for i, name in enumerate(names)}
-        # In the order of the coordinates: the order in which a file lists the factors must not change a rounding error.
+        # In the order of the coordinates: the order in which a file lists the factors must not change a
+        # rounding error.
         self.extension_rows = [_ordered(b.extension, index) for b in machine.belts]
         self.length_rows = [_ordered(b.length, index) for b in machine.belts]
         self.drive_coordinates = [index[d.coordinate] for d in machine.drives]
@@ -69,10 +70,11 @@ class ParameterizedMachine:
             k for k, instance in enumerate(self.instances) if instance.effect.definition.next_state
         ]
 
-    # -- parameters ------------------------------------------------------------------------------------------------
+    # -- parameters
+    # ------------------------------------------------------------------------------------------------
 
     def parameter(self, name: str) -> Value:
-        """Return the value, SI, that a parameter of the machine has in this object, by its full name ("x.mass").
+        """Return a machine parameter's value, SI, in this object, by its full name ("x.mass").
 
         A tied parameter (`Machine.ties`) is a factor times the value of another one.
 
@@ -91,16 +93,16 @@ class ParameterizedMachine:
 
     @cached_property
     def drives(self) -> list[Any]:
-        """Drives of the machine, in its order, as `machine.Drive` objects with the parameter values of this object."""
+        """Drives of the machine, in its order, as `machine.Drive` objects with this object's values."""
         return [self._with_values(d) for d in self.machine.drives]
 
     def _with_values(self, component: Component) -> Any:
-        """Return a component whose parameters may be arrays or expressions; its formulas work on them, too."""
+        """Return a component whose parameters may be arrays or expressions; its formulas take them."""
         values = {key: self.parameter(f"{component.label}.{key}") for key in component.parameter_names}
         return component.with_values(values)
 
     def radius(self, i: int) -> Value:
-        """Return the belt travel per unit of coordinate i: the radius of a pulley, m, or 1 for a linear one."""
+        """Return the belt travel per unit of coordinate i: a pulley's radius, m, or 1 for a linear one."""
         return self._coordinates[i].travel_per_unit
 
     def per_radius(self, i: int) -> Value:
@@ -112,7 +114,7 @@ class ParameterizedMachine:
         return self._coordinates[i].mass / (self.radius(i) * self.radius(i))
 
     def coulomb(self, i: int) -> Value:
-        """Return the Coulomb friction force of coordinate i along its belt travel, N, without changes by effects."""
+        """Return coordinate i's Coulomb friction along its belt travel, N, without changes by effects."""
         return self._coordinates[i].coulomb / self.radius(i)
 
     def viscous(self, i: int, direction: Value) -> Value:
@@ -121,8 +123,8 @@ class ParameterizedMachine:
         The back-EMF of the drives (the damping by their laws) and the effects on friction are included.
 
         Args:
-            direction: 1 for motion in positive direction, -1 in negative direction; 0 or a number in between blends the
-                coefficients of both directions, which differ only by effects.
+            direction: 1 for motion in positive direction, -1 in negative direction; 0 or a number in between
+                blends the coefficients of both directions, which differ only by effects.
         """
         coefficient = self._coordinates[i].viscous
         for _, e in self.effects_on("viscous", i):
@@ -135,19 +137,20 @@ class ParameterizedMachine:
     def force_per_volt(self, j: int) -> Value:
         """Return the force of drive j per volt at standstill, N/V, along the belt travel of its coordinate.
 
-        It is N Kt / (R r), with gear ratio N, torque constant Kt, resistance R and pulley radius r (1 for a linear
-        coordinate).
+        It is N Kt / (R r), with gear ratio N, torque constant Kt, resistance R and pulley radius r (1 for a
+        linear coordinate).
         """
         return self.drives[j].gain / self.radius(self.drive_coordinates[j])
 
-    # -- effects ---------------------------------------------------------------------------------------------------
+    # -- effects
+    # ---------------------------------------------------------------------------------------------------
 
     def effects_at(self, hook: str, component: str) -> Iterator[tuple[int, AppliedEffect]]:
         """Yield the effects on a component that change a certain quantity, in the order in which they act.
 
         Args:
-            hook: Quantity, for example "voltage". An effect changes it if it defines the formula of this name;
-                `hframe_gym.machine.Effect` lists the formulas ("hooks").
+            hook: Quantity, for example "voltage". An effect changes it if it defines the formula of this
+                name; `hframe_gym.machine.Effect` lists the formulas ("hooks").
             component: Name of a drive, belt, coordinate or sensor channel, for example "motor1".
 
         Yields:
@@ -171,9 +174,10 @@ class ParameterizedMachine:
         """Evaluate a formula of an effect with the parameter values of this object.
 
         Args:
-            hook: Name of the formula, for example "force"; `hframe_gym.machine.Effect` lists them with their units.
-            quantities: Arguments of the formula other than the effect's parameters, by symbol, for example position q
-                (m or rad) and speed v (m/s or rad/s).
+            hook: Name of the formula, for example "force"; `hframe_gym.machine.Effect` lists them with their
+                units.
+            quantities: Arguments of the formula other than the effect's parameters, by symbol, for example
+                position q (m or rad) and speed v (m/s or rad/s).
 
         Raises:
             TypeError: If the formula cannot be evaluated, for example because it uses a function of NumPy.
@@ -193,20 +197,20 @@ class ParameterizedMachine:
         return point.travel[i] * self.per_radius(i)
 
     def speed(self, point: MotionPoint, i: int) -> Value:
-        """Return the speed of coordinate i in its unit, m/s or rad/s: rate of the belt travel divided by radius."""
+        """Return coordinate i's speed in its unit, m/s or rad/s: belt speed divided by radius."""
         return point.speed[i] * self.per_radius(i)
 
     def effect_state(self, k: int, point: MotionPoint, **arguments: Value) -> Value:
         """Return the state of effect k, such as a bristle deflection, SI; 0 for an effect without state.
 
-        If `point.elapsed` (s) is set, the states in `point` are from this much earlier, and the effect's formula
-        `next_state` advances the state to the time of the point.
+        If `point.elapsed` (s) is set, the states in `point` are from this much earlier, and the effect's
+        formula `next_state` advances the state to the time of the point.
 
         Args:
-            **arguments: Input of the formula `next_state`: `level`, the Coulomb friction force, N or Nm, for an effect
-                that replaces dry friction; for an effect on a drive's current or its law, those that it takes of `i`,
-                the current before the effect changes it, A, the motor voltage `V`, the position `q` and the gear ratio
-                `N`. No input for any other effect.
+            **arguments: Input of the formula `next_state`: `level`, the Coulomb friction force, N or Nm, for
+                an effect that replaces dry friction; for an effect on a drive's current or its law, those
+                that it takes of `i`, the current before the effect changes it, A, the motor voltage `V`, the
+                position `q` and the gear ratio `N`. No input for any other effect.
         """
         if k not in self.states:
             return 0.0

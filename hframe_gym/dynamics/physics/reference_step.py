@@ -1,7 +1,7 @@
-"""One step of the integrator in plain Python: the specification of the compiled simulation kernel (generated code).
+"""One step of the integrator in plain Python: the specification of the compiled, generated kernel.
 
-The step of length h advances belt travel p, speed v and the states z of the effects with constant voltages. It is a
-symmetric splitting around the exact flow of each coordinate with friction:
+The step of length h advances belt travel p, speed v and the states z of the effects with constant voltages.
+It is a symmetric splitting around the exact flow of each coordinate with friction:
 
     1. half-way point      p1 = p + h/2 v,  z1 = z after h/2
        forces there        f1, F1 (Coulomb friction force)
@@ -11,8 +11,8 @@ symmetric splitting around the exact flow of each coordinate with friction:
     3. exact flow          m dv/dt = f2 - b v - F2 sign v over h, through a stop, gives v and p
     4. effect states       z after h
 
-Step 2 cancels the frequency error (omega h)^2/24 of the position Verlet scheme (Takahashi and Imada 1984; Chin 1997).
-The exact flow replaces the scheme's half steps, so that strong damping costs no accuracy.
+Step 2 cancels the frequency error (omega h)^2/24 of the position Verlet scheme (Takahashi and Imada 1984;
+Chin 1997). The exact flow replaces the scheme's half steps, so that strong damping costs no accuracy.
 """
 
 from __future__ import annotations
@@ -29,9 +29,10 @@ def reference_step(
 ) -> MotionPoint:
     """Advance a machine by one step of the integrator, in plain Python, as a reference for the compiled code.
 
-    With belt travel p and speed v before the step, the forces are evaluated at p + h/2 v, which gives the acceleration
-    a, and again at p + h/2 v + h^2/12 a (the last term raises the accuracy, Takahashi and Imada 1984; Chin 1997) and
-    v + h/2 a. The motion from p and v under the second forces and under friction is computed in closed form.
+    With belt travel p and speed v before the step, the forces are evaluated at p + h/2 v, which gives the
+    acceleration a, and again at p + h/2 v + h^2/12 a (the last term raises the accuracy, Takahashi and Imada
+    1984; Chin 1997) and v + h/2 a. The motion from p and v under the second forces and under friction is
+    computed in closed form.
 
     Args:
         state: Motion before the step, of floats; its effect states are those of its time (`elapsed` is None).

@@ -21,7 +21,7 @@ class SignalEquations(BeltEquations):
     """
 
     def motor_voltages(self, voltages: Sequence[Value]) -> list[Value]:
-        """Apply the effects of the amplifiers (offset, gain error, dead band, ...) to the commanded voltages, V.
+        """Apply the effects of the amplifiers (offset, gain, dead band, ...) to the commanded voltages, V.
 
         The voltages are those after the drives' delays.
         """
@@ -41,22 +41,22 @@ class SignalEquations(BeltEquations):
         *,
         effect_states: Mapping[int, Value] | None = None,
     ) -> list[Value]:
-        """Compute the reading of every sensor, with its effects (scale, skew, ...) but without delay and noise.
+        """Compute the reading of every sensor, with its effects (scale, skew, ...), without delay and noise.
 
-        A position, speed or acceleration is a sum of those of coordinates (or of products of two positions) times the
-        coefficients in the sensor's `row`, a current one of those of drives, a tension one of those of belts; the
-        formula of the sensor's kind gives the reading. Values are floats, arrays of one common shape (...) or symbolic
-        expressions.
+        A position, speed or acceleration is a sum of those of coordinates (or of products of two positions)
+        times the coefficients in the sensor's `row`, a current one of those of drives, a tension one of those
+        of belts; the formula of the sensor's kind gives the reading. Values are floats, arrays of one common
+        shape (...) or symbolic expressions.
 
         Args:
             positions: Position of each coordinate, m or rad, in the machine's order, shape (...) each.
-            velocities: Velocity of each coordinate, m/s or rad/s, shape (...) each; needed for sensors of speeds and of
-                tensions.
-            accelerations: Acceleration of each coordinate, m/s^2 or rad/s^2, shape (...) each; needed for sensors of
-                accelerations.
+            velocities: Velocity of each coordinate, m/s or rad/s, shape (...) each; needed for sensors of
+                speeds and of tensions.
+            accelerations: Acceleration of each coordinate, m/s^2 or rad/s^2, shape (...) each; needed for
+                sensors of accelerations.
             currents: Current of each drive, A, shape (...) each; needed for sensors of currents.
-            effect_states: State of each effect that has one, SI, shape (...) each, by index in `instances`; of those of
-                pulleys, tensions depend. Default: 0.
+            effect_states: State of each effect that has one, SI, shape (...) each, by index in `instances`;
+                of those of pulleys, tensions depend. Default: 0.
 
         Returns:
             Reading of every sensor in its unit, in the machine's order, shape (...) each.
@@ -130,7 +130,7 @@ class SignalEquations(BeltEquations):
         return [self._delay("measurement_delay", s.channel) for s in self.machine.sensors]
 
     def step_factor(self, effect_states: Mapping[int, Value]) -> Value:
-        """Return the duration of a step / that by the log's clock, with the effects on it and their states, SI."""
+        """Return a step's duration / that by the log's clock, with the effects on it and their states, SI."""
         factor: Value = 1.0
         for k, e in self.effects_at("clock", "machine"):
             factor = factor + self.evaluate(e, "clock", {"z": effect_states[k]})

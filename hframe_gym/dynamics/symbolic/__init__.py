@@ -1,1 +1,1 @@
-"""Formulas for numbers, arrays and symbols alike: elementary functions, traced expressions, generated source."""
+"""Formulas for numbers, arrays and symbols: elementary functions, traced expressions, generated source."""

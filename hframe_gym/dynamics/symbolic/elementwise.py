@@ -1,18 +1,19 @@
 """Elementary functions that let one formula serve NumPy, CasADi and the simulation kernel.
 
-The equations of motion of a machine (the simulated mechanical system) and the formulas of effects are written once with
-these functions. The types of the operands decide what a function does:
+The equations of motion of a machine (the simulated mechanical system) and the formulas of effects are written
+once with these functions. The types of the operands decide what a function does:
 
     operand                       action
     number, NumPy array           call NumPy's function
     CasADi expression (SX, MX)    call CasADi's function; CasADi is imported at the first such operand
     traced expression             compute nothing; return a new traced expression, which records the operation
-    SIMD register                 a vector instruction or a formula of them, in generated code (module `lane_compiler`)
+    SIMD register                 a vector instruction or a formula of them, in generated code
 
-A traced expression (class `Expression`) stands for a value that a generated function will compute. `kernel_source`
-evaluates the equations with traced expressions and writes the recorded operations as source text. Compiled by LLVM,
-this text is the simulation kernel. It simulates several machines side by side: a SIMD register holds one number per
-machine. Below, "symbolic expression" means a CasADi expression or a traced expression.
+A traced expression (class `Expression`) stands for a value that a generated function will compute.
+`kernel_source` evaluates the equations with traced expressions and writes the recorded operations as source
+text. Compiled by LLVM, this text is the simulation kernel. It simulates several machines side by side: a SIMD
+register holds one number per machine. Below, "symbolic expression" means a CasADi expression or a traced
+expression.
 
 CasADi (KeyError) and formulas of the simulation kernel (`LaneCompileError`) lack some functions:
 
@@ -77,7 +78,8 @@ def log(x: Any) -> Any:
 def sin(x: Any) -> Any:
     """Return the sine of an angle, rad.
 
-    In a simulation kernel the error is below 5e-16 for |x| <= 1e12 rad; beyond 1e16 rad the result is meaningless.
+    In a simulation kernel the error is below 5e-16 for |x| <= 1e12 rad; beyond 1e16 rad the result is
+    meaningless.
     """
     return _apply("sin", x)
 
@@ -108,12 +110,12 @@ def sign(x: Any) -> Any:
 
 
 def minimum(a: Any, b: Any) -> Any:
-    """Return the smaller of two values; if one of them is NaN, NumPy returns NaN and a simulation kernel returns b."""
+    """Return the smaller of two values; if one is NaN, NumPy returns NaN, a simulation kernel b."""
     return _apply("minimum", a, b)
 
 
 def maximum(a: Any, b: Any) -> Any:
-    """Return the larger of two values; if one of them is NaN, NumPy returns NaN and a simulation kernel returns b."""
+    """Return the larger of two values; if one is NaN, NumPy returns NaN, a simulation kernel b."""
     return _apply("maximum", a, b)
 
 
@@ -135,7 +137,8 @@ def fma(a: Any, b: Any, c: Any) -> Any:
 def rint(x: Any) -> Any:
     """Return the nearest integer, ties to even, as a float (not available for CasADi expressions).
 
-    The kernel's `exp`, `sin` and `cos` use it, and environments round measurements to the sensor's resolution with it.
+    The kernel's `exp`, `sin` and `cos` use it, and environments round measurements to the sensor's resolution
+    with it.
     """
     return _apply("rint", x)
 
@@ -146,12 +149,12 @@ def floor(x: Any) -> Any:
 
 
 def pow2(n: Any) -> Any:
-    """Return 2**n for integers n in [-1022, 1023], exactly; the kernel's `exp` uses it for e**x = 2**n e**r."""
+    """Return 2**n for integers n in [-1022, 1023], exactly; the kernel's `exp` is e**x = 2**n e**r."""
     return _apply("pow2", n)
 
 
 def any_of(condition: Any) -> Any:
-    """Return whether a condition holds in at least one element; `if` and `while` statements of the kernel use it.
+    """Return whether a condition holds in at least one element; the kernel's `if` and `while` use it.
 
     Where it is true, the kernel takes the branch for all machines of the register.
     """
@@ -171,14 +174,15 @@ def update_if_any(
 ) -> list[Any]:
     """Return `update(values)`; a simulation kernel skips the update where it has no effect.
 
-    The kernel calls `update` if the condition is true for at least one of the machines that it simulates side by side;
-    the call then applies to all of them.
+    The kernel calls `update` if the condition is true for at least one of the machines that it simulates side
+    by side; the call then applies to all of them.
 
     Args:
-        condition: Function without arguments that returns the condition; it is called only to generate a kernel.
+        condition: Function without arguments that returns the condition; it is called only to generate a
+            kernel.
         values: Values to update.
-        update: Function from the values to the new values. For a machine whose condition is false it must return that
-            machine's values unchanged.
+        update: Function from the values to the new values. For a machine whose condition is false it must
+            return that machine's values unchanged.
     """
     # Only a kernel can skip the update; NumPy and CasADi evaluate it in any case.
     traced = next((value for value in values if isinstance(value, Expression)), None)
@@ -188,7 +192,7 @@ def update_if_any(
 
 
 def _apply(name: str, *operands: Any) -> Any:
-    """Call the implementation that the first traced or CasADi operand decides; without such an operand, NumPy's."""
+    """Call the implementation of the first traced or CasADi operand; without such an operand, NumPy's."""
     for operand in operands:
         if isinstance(operand, _NUMPY_TYPES):
             continue

@@ -1,7 +1,7 @@
 """Expressions and statements of a function whose source text is generated, and the generation of this text.
 
-A `Trace` (module `tracing`) records them. In the source text, a value that is the same in all steps of a loop is
-computed before the loop, and a value that is needed only inside an `if` block is computed there.
+A `Trace` (module `tracing`) records them. In the source text, a value that is the same in all steps of a loop
+is computed before the loop, and a value that is needed only inside an `if` block is computed there.
 """
 
 from __future__ import annotations
@@ -41,13 +41,14 @@ class Recorder(Protocol):
 
 
 class Expression:
-    """A value in a generated function: a number, a variable, a row of an array, or an operation on such values.
+    """A value in a generated function: a number, a variable, a row of an array, or an operation on such.
 
     Attributes:
         trace: Record of the function to which the expression belongs.
-        operation: "number", "variable", "load" (row of an array), an operator such as "+", or the name of a function.
-        operands: Operands of an operation. A number or load has its source text here; a variable has its name and a
-            version number, which every assignment to the variable increases.
+        operation: "number", "variable", "load" (row of an array), an operator such as "+", or the name of a
+            function.
+        operands: Operands of an operation. A number or load has its source text here; a variable has its name
+            and a version number, which every assignment to the variable increases.
         invariant: Whether the value is the same in all steps of the loop.
         variables: Reassigned variables on which the value depends.
     """
@@ -160,7 +161,7 @@ class Statement:
 
 
 def simplified(operation: str, values: tuple[Expression, ...]) -> Expression | None:
-    """Simplify an operation if only the sign of a zero may differ: 2 + 3, x + 0, x * 1, ...; else return None.
+    """Simplify an operation if at most the sign of a zero may differ: 2 + 3, x + 0, x * 1; else return None.
 
     Raises:
         ValueError: If an operation on two numbers gives no finite number.
@@ -194,7 +195,7 @@ def simplified(operation: str, values: tuple[Expression, ...]) -> Expression | N
 
 
 def function_source(trace: Recorder) -> str:
-    """Write a function's source text for `lane_compiler`; a RuntimeError if it uses a variable's old value."""
+    """Write a function's source text for `lane_compiler`; a RuntimeError if it uses an old value."""
     return "\n".join([f"def {trace.signature}:", *_Writer(trace.statements, trace.names).lines]) + "\n"
 
 
@@ -262,7 +263,7 @@ class _Writer:
     def _text(
         self, value: Expression, computed: dict[Expression, str], lines: list[str], margin: str
     ) -> tuple[str, int]:
-        """Return the text of a value and how tightly it binds; lines that it needs first are appended to `lines`."""
+        """Return a value's text and how tightly it binds; lines needed first are appended to `lines`."""
         if value.is_leaf:
             text = str(value.operands[0])
             if value.operation == "variable" and value.operands[1] != self._versions.get(text, 0):

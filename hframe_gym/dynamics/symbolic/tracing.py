@@ -1,9 +1,10 @@
 """Traced expressions: symbolic values that record which operations are applied to them.
 
-A `Trace` is the record of one function that is to be generated for a simulation kernel. The equations are evaluated
-once with `Expression`s instead of numbers. Arithmetic and the functions of `elementwise` add expressions to the record,
-where equal ones exist only once; `expressions.function_source` then writes the function as source text. Names in this
-text are made of fixed words and numbers only: no name of a machine file gets into generated code.
+A `Trace` is the record of one function that is to be generated for a simulation kernel. The equations are
+evaluated once with `Expression`s instead of numbers. Arithmetic and the functions of `elementwise` add
+expressions to the record, where equal ones exist only once; `expressions.function_source` then writes the
+function as source text. Names in this text are made of fixed words and numbers only: no name of a machine
+file gets into generated code.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ from .elementwise import where
 from .expressions import Expression, Statement, simplified
 
 _PACKAGE = Path(__file__).parents[1]  # dynamics
-# Parts of the messages of Python and NumPy about functions and operators that accept neither expressions nor arrays.
+# Parts of the messages of Python and NumPy about functions and operators that accept neither expressions nor
+# arrays.
 _NUMBERS_ONLY = (
     r"\bufunc",  # np.tanh(v)
     r"real number, not '?Expression",  # math.sin(v), float(v)
@@ -50,12 +52,14 @@ class Trace:
         self.statements: list[Statement] = []
         self._block = self.statements
 
-    # -- values ----------------------------------------------------------------------------------------------------
+    # -- values
+    # ----------------------------------------------------------------------------------------------------
 
     def node(self, operation: str, *operands: Any) -> Expression:
-        """Return the expression of an operation, such as a + b or sin(a); equal operations give the same object.
+        """Return the expression of an operation, such as a + b or sin(a); equal ones give the same object.
 
-        The operation is simplified if the result is the same but for the sign of a zero, for example x + 0 to x.
+        The operation is simplified if the result is the same but for the sign of a zero, for example x + 0 to
+        x.
 
         Raises:
             ValueError: If a number, or the result of an operation on two numbers, is not finite.
@@ -73,7 +77,7 @@ class Trace:
         return self._nodes[key]
 
     def expression(self, value: Any) -> Expression:
-        """Convert a finite number to an expression of the generated function; return an expression unchanged."""
+        """Convert a finite number to an expression of the generated function; keep an expression."""
         if isinstance(value, Expression):
             return value
         number = float(value)
@@ -92,7 +96,8 @@ class Trace:
         Args:
             array: Name of the argument in the function's signature; an array of shape (rows, LANES).
             row: Index of the row, as a number or as source text such as "step * 2 + 0".
-            name: Name of the value in the source text. If it is empty, the text loads the row where it uses the value.
+            name: Name of the value in the source text. If it is empty, the text loads the row where it uses
+                the value.
             invariant: Whether the row is the same in all steps of the integration loop.
         """
         value = self._unique("load", (f"load({array}, {row})",), invariant=invariant)
@@ -103,8 +108,8 @@ class Trace:
     def let(self, role: str, index: int | None, value: Expression) -> Expression:
         """Give an expression the name role_index in the source text, compute it at this point, and return it.
 
-        Inside a block `with trace.section(comment, prefix)`, the prefix is put before the name. Numbers, variables and
-        expressions that have a name already are left unchanged.
+        Inside a block `with trace.section(comment, prefix)`, the prefix is put before the name. Numbers,
+        variables and expressions that have a name already are left unchanged.
         """
         if not value.is_leaf and value not in self.names:
             self.names[value] = self._identifier(role, index)
@@ -116,10 +121,11 @@ class Trace:
         self._taken[name] += 1
         return name if self._taken[name] == 1 else f"{name}_again_{self._taken[name]}"
 
-    # -- statements ------------------------------------------------------------------------------------------------
+    # -- statements
+    # ------------------------------------------------------------------------------------------------
 
     def variable(self, role: str, index: int | None, value: Expression) -> Expression:
-        """Append a statement that creates a variable, named role_index, with a value; `assign` changes it later."""
+        """Append a statement that creates a variable, named role_index, with a value, for `assign`."""
         variable = self._unique("variable", (self._identifier(role, index), 0), invariant=False)
         self._block.append(Statement(f"{variable.operands[0]} = {{}}", (value,), (variable,)))
         return variable
@@ -130,7 +136,8 @@ class Trace:
         """Append a statement to the generated function that calls a function with several return values.
 
         Args:
-            results: For each returned value, the name of its variable in two parts: role ("speed") and index, or None.
+            results: For each returned value, the name of its variable in two parts: role ("speed") and index,
+                or None.
 
         Returns:
             One variable per returned value.
@@ -158,12 +165,12 @@ class Trace:
         self._block.append(Statement(f"store({array}, {row}, {{}})", (value,)))
 
     def line(self, text: str) -> None:
-        """Append one line of source text, without indentation, inside the innermost open `with trace.block(...)`."""
+        """Append one line of source text, without indentation, in the innermost `with trace.block(...)`."""
         self._block.append(Statement(text))
 
     @contextlib.contextmanager
     def section(self, comment: str, prefix: str = "") -> Iterator[None]:
-        """Append a comment to the generated function; names that are given inside the `with` block get a prefix.
+        """Append a comment to the generated function; names given inside the `with` block get a prefix.
 
         The prefix, for example "half_" for forces in the middle of a step, distinguishes quantities that are
         computed more than once.
@@ -175,13 +182,13 @@ class Trace:
 
     @contextlib.contextmanager
     def block(self, head: str, *values: Expression, loop: bool = False) -> Iterator[None]:
-        """Append an `if`, `while` or `for` statement to the generated function; the `with` block appends its body.
+        """Append `if`, `while` or `for` to the generated function; the `with` block appends its body.
 
         Args:
             head: First line, for example "if any_of({}):", with "{}" in place of each value.
             *values: Expressions in that line.
-            loop: Whether this is the loop over the steps of the integrator; values in its body that are the same in all
-                steps are then computed before it.
+            loop: Whether this is the loop over the steps of the integrator; values in its body that are the
+                same in all steps are then computed before it.
         """
         statement = Statement(head, values)
         self._block.append(statement)
@@ -194,13 +201,13 @@ class Trace:
     def update_if_any(
         self, condition: Expression, values: Sequence[Any], update: Callable[[Sequence[Any]], Sequence[Any]]
     ) -> list[Expression]:
-        """Append a block that updates values only if a condition is true for one of the machines in a register.
+        """Append a block that updates values only if a condition is true for a machine in a register.
 
         Args:
             condition: Expression of a condition, one truth value per machine.
             values: Expressions and numbers to update.
-            update: Function from the values to the new values. It must leave the values of a machine unchanged whose
-                condition is false.
+            update: Function from the values to the new values. It must leave the values of a machine
+                unchanged whose condition is false.
 
         Returns:
             Variables with the updated values, in the order of `values`.

@@ -1,4 +1,4 @@
-"""Formulas for an unexplained force or friction: closed forms, sparse regression, and the file of a new effect."""
+"""Formulas for an unexplained force or friction: closed forms, sparse regression, and a new effect's file."""
 
 from .effect_file import FormulaEffect, write_effect_file
 from .regression import Curve, Formula, fit_formulas

@@ -1,4 +1,4 @@
-"""Turn a fitted formula into an effect of the library's kind: as Python source to review, and as a definition to use.
+"""Turn a fitted formula into an effect: as Python source to review, and as a definition to use.
 
 The definition is made by executing the source, so that what is evaluated is what is written.
 """
@@ -42,7 +42,7 @@ register_effect(EFFECT)
 
 @dataclass(frozen=True)
 class FormulaEffect:
-    """Formula that replaces a table (a force or friction level that is interpolated between knots) of a machine.
+    """Formula that replaces a table (a force or friction level interpolated between knots) of a machine.
 
     Attributes:
         name: Name of the new effect, a Python identifier.
@@ -67,7 +67,7 @@ class FormulaEffect:
 
     @property
     def text(self) -> str:
-        """Equation of the force f or of the Coulomb friction F - Fc, e.g. "f = A * catch(q, center, width)"."""
+        """Equation of the force f or the Coulomb friction F - Fc, e.g. "f = A * catch(q, center, width)"."""
         left = "f" if self._hook == "force" else "F - Fc"
         return f"{left} = {self._expression}"
 
@@ -77,27 +77,27 @@ class FormulaEffect:
         return {parameter.name: value for parameter, value in self._parameters()}
 
     def definition(self) -> Effect:
-        """Return the effect's definition, the same as in the file of `write_effect_file`, without registering it."""
+        """Return the effect's definition, as in the file of `write_effect_file`, without registering it."""
         namespace: dict[str, Any] = {"__name__": f"hframe_formula_{self.name}"}
         exec(compile(self._definition_source(), f"<effect {self.name}>", "exec"), namespace)
         return namespace["EFFECT"]
 
     def applied(self) -> AppliedEffect:
-        """Return the effect that takes the place of the table, with fitted parameters clipped to their bounds."""
+        """Return the effect that replaces the table, with fitted parameters clipped to their bounds."""
         definition = self.definition()
         bounds = {p.name: (p.lower, p.upper) for p in definition.parameters}
         values = {name: float(np.clip(value, *bounds[name])) for name, value in self.values.items()}
         return definition.at(self.table.site, **values)
 
     def source(self) -> str:
-        """Return the source of a Python module that defines the effect, and registers it when it is imported."""
+        """Return the source of a Python module that defines the effect, and registers it when imported."""
         text = self._definition_source()
         imports = "from hframe_gym.effects import register_effect\nfrom hframe_gym.machine import"
         return text.replace("from hframe_gym.machine import", imports, 1) + _REGISTRATION
 
     @property
     def _hook(self) -> str:
-        """Function of an effect that the formula takes the place of: "force" or "coulomb", the Coulomb friction."""
+        """Function of an effect that the formula replaces: "force" or "coulomb", the Coulomb friction."""
         return HOOK_OF_KIND[self.table.name.partition("[")[0]]
 
     @property
@@ -175,7 +175,7 @@ class FormulaEffect:
         return EffectParameter(name, unit, lower, _LARGE, scale, tuple(map(_rounded, grid)))
 
     def _variable_unit(self) -> tuple[str, str]:
-        """Return the unit of the variable; and "position" or "speed" where the site has the same unit, else ""."""
+        """Return the variable's unit; and "position" or "speed" where the site has the same unit, else ""."""
         variable, coordinate = self._variable
         if variable == "time":
             return "s", ""
@@ -187,14 +187,14 @@ class FormulaEffect:
     def _shape_unit(self) -> str:
         """Return the unit of a shape parameter, or its key in `machine.UNITS`.
 
-        Starting values are relative to the typical value of the unit on the machine. The unit has none here, so that
-        they are absolute; "m" alone would be the extension of belts.
+        Starting values are relative to the typical value of the unit on the machine. The unit has none here,
+        so that they are absolute; "m" alone would be the extension of belts.
         """
         unit, key = self._variable_unit()
         return "absolute position" if key == "position" else unit
 
     def _amplitude_unit(self, power: float) -> str:
-        """Return the unit of an amplitude that multiplies a power of the variable, or its key in `machine.UNITS`."""
+        """Return the unit of an amplitude times a power of the variable, or its key in `machine.UNITS`."""
         unit, key = self._variable_unit()
         if power == 0:
             return "force"
@@ -299,7 +299,7 @@ class FormulaEffect:
 
 
 def write_effect_file(effect: FormulaEffect, path: Path) -> None:
-    """Write the Python file that defines and registers an effect; an InputError if it exists or cannot be written."""
+    """Write the Python file that defines and registers an effect; an InputError if that is impossible."""
     if path.exists():
         raise InputError(f"{path}: the file exists; remove it or choose another name with --out")
     try:
@@ -314,5 +314,5 @@ def _rounded(value: float) -> float:
 
 
 def _described(against: str) -> str:
-    """Return a variable with an article: "the position of x", "the time since the machine was switched on"."""
+    """Return a variable with an article: "the position of x", "the time since it was switched on"."""
     return "the time since the machine was switched on" if against == "time" else f"the {against}"

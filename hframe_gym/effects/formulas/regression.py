@@ -1,9 +1,9 @@
 """Sparse regression of a tabulated curve on a dictionary of closed forms.
 
-Every term of `terms` with every starting value of its shape parameters is one column of the dictionary. Orthogonal
-matching pursuit (scikit-learn) chooses few columns; nonlinear least squares (SciPy) then fits the shape parameters,
-with the amplitudes eliminated in every step (variable projection). The error by which formulas are compared is that of
-knots to which they were not fitted.
+Every term of `terms` with every starting value of its shape parameters is one column of the dictionary.
+Orthogonal matching pursuit (scikit-learn) chooses few columns; nonlinear least squares (SciPy) then fits the
+shape parameters, with the amplitudes eliminated in every step (variable projection). The error by which
+formulas are compared is that of knots to which they were not fitted.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ class Curve:
         knots: Increasing values of the variable, shape (k,).
         values: Ordinates, N or Nm, shape (k,).
         covariance: Covariance of the ordinates, shape (k, k).
-        absorbed: Curves at the knots that other parameters of the machine can represent, for example a constant
-            friction level; no formula needs to explain them, shape (k, m).
+        absorbed: Curves at the knots that other parameters of the machine can represent, for example a
+            constant friction level; no formula needs to explain them, shape (k, m).
     """
 
     knots: Array
@@ -64,8 +64,8 @@ class Curve:
     def error_covariance(self) -> Array:
         """Covariance of the ordinates with which formulas are fitted, (N or Nm)^2, shape (k, k).
 
-        It is the sum of `covariance`, a small variance of every ordinate, and a large variance along each curve in
-        `absorbed`, so that a deviation in the direction of these curves does not count as an error.
+        It is the sum of `covariance`, a small variance of every ordinate, and a large variance along each
+        curve in `absorbed`, so that a deviation in the direction of these curves does not count as an error.
         """
         deviation = float(np.std(self.values)) or 1.0
         floor = (_ERROR_FLOOR * deviation) ** 2 * np.eye(len(self.values))
@@ -74,7 +74,7 @@ class Curve:
 
     @cached_property
     def fine(self) -> Array:
-        """Closely spaced values of the variable from the first knot to the last, in its unit, shape (points,)."""
+        """Close values of the variable from the first knot to the last, in its unit, shape (points,)."""
         pieces = np.linspace(self.knots[:-1], self.knots[1:], _FINE_POINTS, endpoint=False, axis=1)
         return np.append(pieces.ravel(), self.knots[-1])
 
@@ -82,8 +82,8 @@ class Curve:
     def projection(self) -> Array:
         """Matrix that converts values of a function at `fine` to ordinates at the knots, shape (k, points).
 
-        Among all curves that are linear between the knots, the one with these ordinates has the smallest squared
-        distance from the function.
+        Among all curves that are linear between the knots, the one with these ordinates has the smallest
+        squared distance from the function.
         """
         # Basis functions of linear interpolation: 1 at one knot and 0 at the others.
         hats = np.stack([np.interp(self.fine, self.knots, row) for row in np.eye(len(self.knots))], axis=1)
@@ -102,7 +102,7 @@ class Curve:
         return np.asarray(self.projection @ function(self.fine))
 
     def whitening(self, rows: NDArray[np.bool_]) -> Array:
-        """Return the matrix that makes the errors of some ordinates independent with variance 1, shape (r, r).
+        """Return a matrix that makes the errors of some ordinates independent with variance 1, shape (r, r).
 
         It is the inverse of the lower Cholesky factor of their covariance.
 
@@ -118,10 +118,11 @@ class Formula:
     """Sum of terms with fitted parameters.
 
     Attributes:
-        amplitudes: Amplitudes of all columns, term after term, N or Nm divided by a power of the variable's unit.
+        amplitudes: Amplitudes of all columns, term after term, N or Nm divided by a power of the variable's
+            unit.
         shapes: Shape parameters by term, in the unit of the variable.
-        error: Root-mean-square error at knots that the formula was not fitted to (cross-validation), in standard
-            deviations of the table's ordinates.
+        error: Root-mean-square error at knots that the formula was not fitted to (cross-validation), in
+            standard deviations of the table's ordinates.
     """
 
     terms: tuple[Term, ...]
@@ -136,15 +137,15 @@ class Formula:
 
     @property
     def complexity(self) -> int:
-        """Number of fitted parameters: amplitudes and shape parameters (centers, widths, periods) of all terms."""
+        """Number of fitted parameters: amplitudes and shape parameters (centers, widths, periods)."""
         return sum(term.complexity for term in self.terms)
 
     def with_values(self, values: Iterable[float]) -> Formula:
         """Return a copy with other parameters and the same error.
 
         Args:
-            values: Parameters, SI, term by term: for each term in `terms`, first its amplitudes, then its shape
-                parameters (centers, widths, periods).
+            values: Parameters, SI, term by term: for each term in `terms`, first its amplitudes, then its
+                shape parameters (centers, widths, periods).
         """
         remaining = iter(values)
         amplitudes: list[float] = []
@@ -163,12 +164,12 @@ class Formula:
 
 
 def fit_formulas(curve: Curve, terms: Sequence[Term], count: int = 3) -> tuple[Formula, ...]:
-    """Propose formulas for a curve: sums of terms with a small error for their number of parameters (complexity).
+    """Propose formulas for a curve: sums of terms with a small error for their parameters (complexity).
 
     Returns:
-        Formulas by increasing complexity: those whose error at left-out knots (cross-validation) is clearly smaller
-        than that of all simpler ones (Pareto front), and if there are fewer than `count`, other formulas that are no
-        more complex than the last.
+        Formulas by increasing complexity: those whose error at left-out knots (cross-validation) is clearly
+        smaller than that of all simpler ones (Pareto front), and if there are fewer than `count`, other
+        formulas that are no more complex than the last.
 
     Raises:
         ImportError: If scikit-learn is not installed; the message names the extra `formulas`.
@@ -179,7 +180,8 @@ def fit_formulas(curve: Curve, terms: Sequence[Term], count: int = 3) -> tuple[F
     rivals: list[Formula] = []
     for formula in (f for f in formulas if f.error < _HOPELESS * smallest):
         least = min((f.error for f in front), default=math.inf)
-        # A formula joins the front if the simpler ones leave more than the uncertainty and it is clearly better.
+        # A formula joins the front if the simpler ones leave more than the uncertainty and it is clearly
+        # better.
         if least > _EXPLAINED and formula.error < _CLEAR_GAIN * least:
             front.append(formula)
         else:
@@ -234,7 +236,7 @@ class _Search:
         return [start for _, start in best.values()]
 
     def _fitted(self, support: Sequence[tuple[Term, tuple[float, ...]]]) -> tuple[float, Formula]:
-        """Return the error that a formula leaves at all knots, and the formula, from starting values of its terms."""
+        """Return the error that a formula leaves at all knots, and the formula, from its terms' start."""
         terms = tuple(term for term, _ in support)
         amplitudes, shapes = self._solve(terms, [shape for _, shape in support], self._all, self._whitening)
         missing = self._whitening @ self._columns(terms, shapes) @ amplitudes - self._target
@@ -278,10 +280,11 @@ class _Search:
         )
 
     def _validated(self, formula: Formula) -> Formula:
-        """Return a formula with its error: that of each fold of knots, given the other folds, to which it is fitted.
+        """Return a formula with its error: that of each fold of knots, fitted to the other folds.
 
-        The errors of a table's ordinates are correlated, so the missing part of the fitted knots predicts that of the
-        left-out ones (conditional mean of a Gaussian); what is left is in units of its conditional deviation.
+        The errors of a table's ordinates are correlated, so the missing part of the fitted knots predicts
+        that of the left-out ones (conditional mean of a Gaussian); what is left is in units of its
+        conditional deviation.
         """
         squares, covariance = 0.0, self._curve.error_covariance
         for fold in range(_FOLDS):

@@ -35,9 +35,10 @@ def curve_of_table(table: AppliedEffect, machine: Machine) -> Curve:
 
 
 def _friction_basis(table: AppliedEffect, knots: Array) -> Array:
-    """Return the curves by which the Coulomb and viscous friction of the coordinate can change a table's values.
+    """Return the curves by which the coordinate's Coulomb and viscous friction can change a table's values.
 
-    The recordings determine the sum of friction and table only, so that formulas need not explain these curves.
+    The recordings determine the sum of friction and table only, so that formulas need not explain these
+    curves.
     """
     of_speed = table.definition.against == f"velocity of {table.site}"
     if table.name.startswith("smooth_friction"):

@@ -1,9 +1,9 @@
 """Closed forms of one variable from which formulas for an unexplained force or friction are built.
 
-The shapes are those that machines produce: springs, stops, magnets, periodic rails, warm-up and friction laws. Every
-shape is a function of the elementary functions of `dynamics.elementwise`, so the same text serves the fit, the compiled
-simulation and the file that `hframe effects new` writes. Powers with a fitted exponent are absent, because compiled
-simulations have no logarithm.
+The shapes are those that machines produce: springs, stops, magnets, periodic rails, warm-up and friction
+laws. Every shape is a function of the elementary functions of `dynamics.elementwise`, so the same text serves
+the fit, the compiled simulation and the file that `hframe effects new` writes. Powers with a fitted exponent
+are absent, because compiled simulations have no logarithm.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ def bump(u, center, width):  # type: ignore[no-untyped-def]
 
 
 def catch(u, center, width):  # type: ignore[no-untyped-def]
-    """Return a pull toward the center, -z exp((1 - z^2) / 2) with z = (u - center) / width; its extremes are +-1."""
+    """Return a pull toward the center, -z exp((1 - z^2) / 2) with z = (u - center) / width; extremes +-1."""
     z = (u - center) / width
     return -z * exp(0.5 - 0.5 * z * z)
 
 
 def resonance(u, center, width):  # type: ignore[no-untyped-def]
-    """Return the Lorentz curve 1 / (1 + z^2) with z = (u - center) / width, a bump of height 1 with wide flanks."""
+    """Return the Lorentz curve 1 / (1 + z^2) with z = (u - center) / width, a bump with wide flanks."""
     z = (u - center) / width
     return 1.0 / (1.0 + z * z)
 
 
 def wide_catch(u, center, width):  # type: ignore[no-untyped-def]
-    """Return a pull toward the center, -2 z / (1 + z^2) with z = (u - center) / width; its extremes are +-1."""
+    """Return a pull toward the center, -2 z / (1 + z^2) with z = (u - center) / width; extremes +-1."""
     z = (u - center) / width
     return -2.0 * z / (1.0 + z * z)
 
@@ -135,16 +135,18 @@ def _cosine(u: Any, period: Any, order: int) -> Any:
 
 @dataclass(frozen=True)
 class Term:
-    """One summand of a formula: amplitudes times columns, functions of the variable u and of shape parameters.
+    """One summand of a formula: amplitudes times columns, functions of the variable u and shape parameters.
 
     Attributes:
         name: Name of the term in plain words, for example "magnetic catch".
         columns: Functions (u, *shapes) -> value at amplitude 1, one for each amplitude.
         expressions: Text of each column, with {u} and the names of the shapes in braces.
-        shapes: Role of each shape parameter: "center" (a value of the variable), "width" (positive, in the unit of the
-            variable) or "period" (positive, in that unit).
-        powers: Power of the variable's unit in each column; the amplitude has the unit of force / variable**power.
-        helper: Function that the expressions call; its source is copied into a written effect. None: no function.
+        shapes: Role of each shape parameter: "center" (a value of the variable), "width" (positive, in the
+            unit of the variable) or "period" (positive, in that unit).
+        powers: Power of the variable's unit in each column; the amplitude has the unit of force /
+            variable**power.
+        helper: Function that the expressions call; its source is copied into a written effect. None: no
+            function.
     """
 
     name: str
@@ -170,7 +172,7 @@ class Term:
         return np.stack([np.asarray(column(u, *shapes), float) for column in self.columns], axis=1)
 
     def grid(self, low: float, high: float) -> list[tuple[float, ...]]:
-        """Return starting values for a search of the shape parameters: all combinations of centers, widths, periods.
+        """Return start values for a search of shape parameters: all combinations of centers, widths, periods.
 
         A term without shape parameters has a single empty one.
 
@@ -246,8 +248,8 @@ def terms_of(variable: str, *, force: bool) -> tuple[Term, ...]:
 
     Args:
         variable: "position", "velocity", "path" (distance traveled since the start) or "time".
-        force: True for a force, which may be constant; False for a friction level, whose constant is the declared
-            Coulomb friction.
+        force: True for a force, which may be constant; False for a friction level, whose constant is the
+            declared Coulomb friction.
 
     Returns:
         Terms, simplest first; for a force the constant comes before all others.

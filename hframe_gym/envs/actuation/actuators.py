@@ -1,8 +1,9 @@
-"""Actuators of an environment: those that the machine declares, or D/A converters, dead time and current limit.
+"""Actuators of an environment: those of the machine, or D/A converters, dead time and current limit.
 
-The machine declares the D/A converter of each drive (bits, voltage range). Dead time and current limit are effects of
-the machine (modeled deviations from the basic model), `input_delay` and `current_limit`. `applied_voltages` simulates
-converters and dead times; the compiled simulation kernel (code generated for a machine) simulates the current limit.
+The machine declares the D/A converter of each drive (bits, voltage range). Dead time and current limit are
+effects of the machine (modeled deviations from the basic model), `input_delay` and `current_limit`.
+`applied_voltages` simulates converters and dead times; the compiled simulation kernel (code generated for a
+machine) simulates the current limit.
 """
 
 from __future__ import annotations
@@ -24,15 +25,15 @@ from ...machine import Machine
 
 @dataclass(frozen=True)
 class Actuators:
-    """D/A converter, current limit and dead time of all drives. They replace the converters that the machine declares.
+    """D/A converter, current limit and dead time of all drives. They replace the machine's converters.
 
     Args:
-        bits: Resolution of the D/A converter, an integer from 1 to 32: it has 2**bits levels from -range_V to range_V;
-            None: not quantized.
+        bits: Resolution of the D/A converter, an integer from 1 to 32: it has 2**bits levels from -range_V to
+            range_V; None: not quantized.
         range_V: Voltage range of the converter, V; None: the rated voltage.
-        current_limit: Largest current in either direction, A; None: only the machine's limits. The amplifier lowers
-            the voltage V so that |V - Ke N w| / R stays within the limit (back-EMF constant Ke, gear ratio N, pulley
-            speed w, resistance R). A smaller limit of the machine remains.
+        current_limit: Largest current in either direction, A; None: only the machine's limits. The amplifier
+            lowers the voltage V so that |V - Ke N w| / R stays within the limit (back-EMF constant Ke, gear
+            ratio N, pulley speed w, resistance R). A smaller limit of the machine remains.
         delay: Dead time between action and voltage, s.
 
     Raises:
@@ -91,8 +92,8 @@ def _with_current_limit(machine: Machine, drive: str, limit: float) -> Machine:
     return machine.with_effects(effect)
 
 
-# Section II of Sollmann et al. (2010): a 12-bit converter and amplifiers of type A12. The paper gives no current limit;
-# 12 A is the peak current of amplifiers of this name. At standstill 12 V would drive 17 A.
+# Section II of Sollmann et al. (2010): a 12-bit converter and amplifiers of type A12. The paper gives no
+# current limit; 12 A is the peak current of amplifiers of this name. At standstill 12 V would drive 17 A.
 ACTUATOR_PRESETS: dict[str, Actuators | None] = {
     "ideal": Actuators(),
     "rig": Actuators(bits=12, current_limit=12.0),
@@ -103,13 +104,14 @@ ActuatorsLike: TypeAlias = Literal["ideal", "rig", "machine"] | Actuators
 
 
 def with_actuators(machine: Machine, drives: ActuatorsLike) -> Machine:
-    """Return a copy of a machine with converters, current limits and dead time that an environment adds to it.
+    """Return a copy of a machine with converters, current limits and dead time of an environment.
 
-    The machine keeps a dead time that it already has, and a current limit that is smaller than that of `drives`.
+    The machine keeps a dead time that it already has, and a current limit that is smaller than that of
+    `drives`.
 
     Args:
-        drives: What to add: `Actuators`, or a name of `ACTUATOR_PRESETS`. With "machine", nothing is added, and the
-            machine itself is returned.
+        drives: What to add: `Actuators`, or a name of `ACTUATOR_PRESETS`. With "machine", nothing is added,
+            and the machine itself is returned.
 
     Raises:
         InputError: If `drives` is invalid, or both the machine and `drives` have a dead time.
@@ -133,12 +135,13 @@ def action_space(machine: Machine) -> spaces.Box:
 def check_actions(
     actions: Any, shape: tuple[int, int], machine: Machine, *, single: bool = False
 ) -> NDArray[Any]:
-    """Check that actions have the required shape (environments, drives) and are finite; convert them to floats.
+    """Check that actions have the shape (environments, drives) and are finite; convert them to floats.
 
     They may exceed [-1, 1]; the actuators limit them. float32 stays float32, all others become float64.
 
     Args:
-        single: Whether the caller has one environment, and its action no axis of environments; messages then have none.
+        single: Whether the caller has one environment, and its action no axis of environments; messages then
+            have none.
 
     Raises:
         ValueError: If actions are not numbers, have another shape, or an entry is not finite.

@@ -1,4 +1,4 @@
-"""Simulation of actuators for a batch of environments: from actions to motor voltages, by converters and dead times.
+"""Simulation of actuators for a batch of environments: from actions to motor voltages, through converters.
 
 Batches are stored in the kernel's SIMD layout: environment b is lane b % LANES of block b // LANES.
 """
@@ -25,15 +25,16 @@ class ActuatorModel:
 
     Args:
         count: Number of environments.
-        column: Function that takes the full name of a parameter ("motor1.converter_bits") and returns its column in the
-            argument `values` of `begin`.
+        column: Function that takes the full name of a parameter ("motor1.converter_bits") and returns its
+            column in the argument `values` of `begin`.
         period: Control period, s.
         steps: Integration steps per control period.
         delayed: Whether any drive has a dead time.
 
     Attributes:
-        inputs: Input voltages of the simulation, V, in lanes. Shape (blocks, drives, LANES), constant over a control
-            period; if a drive has a dead time, (blocks, steps * drives, LANES), one set of drives per integration step.
+        inputs: Input voltages of the simulation, V, in lanes. Shape (blocks, drives, LANES), constant over a
+            control period; if a drive has a dead time, (blocks, steps * drives, LANES), one set of drives per
+            integration step.
         delays: Dead times, s, shape (blocks, drives, LANES). The simulator writes them at reset.
     """
 
@@ -78,18 +79,20 @@ class ActuatorModel:
             self._history[block, :, :, lane] = 0.0
 
     def begin_period(self) -> None:
-        """Make room for the voltages of a new control period in the history from which dead times are simulated.
+        """Make room for the voltages of a new period in the history from which dead times are simulated.
 
-        Call it once per control period, before `command`. Without dead times there is no history: nothing happens.
+        Call it once per control period, before `command`. Without dead times there is no history: nothing
+        happens.
         """
         if self._commanded is not None:  # without dead time nothing reads the history
             self._history[:, 1:] = self._history[:, :-1]
 
     def command(self, actions: NDArray[Any], first: int, last: int, clipped: EnvironmentCounts) -> None:
-        """Convert actions to the motor voltages of one control period, for blocks first to last - 1, in `inputs`.
+        """Convert actions to the motor voltages of a period, for blocks first to last - 1, in `inputs`.
 
         Args:
-            actions: Voltages as fractions of the rated voltages, shape (environments, drives); limited to [-1, 1] here.
+            actions: Voltages as fractions of the rated voltages, shape (environments, drives); limited to
+                [-1, 1] here.
             clipped: Number of action entries outside [-1, 1] since the reset; increased here.
         """
         commanded = self.inputs if self._commanded is None else self._commanded
@@ -102,10 +105,10 @@ class ActuatorModel:
 
 @compiled
 def _set_converters(index: Any, values: Any, columns: Any, converters: Any) -> bool:
-    """Write quantum, lowest and highest voltage of environments index (k,) to converters (blocks, 3 drives, LANES), V.
+    """Write quantum, lowest, highest voltage of environments (k,) to converters (blocks, 3 drives, LANES), V.
 
-    values (k, N): parameters; columns (drives, 2): those of the bits and of the voltage range. Return whether any
-    converter has levels.
+    values (k, N): parameters; columns (drives, 2): those of the bits and of the voltage range. Return whether
+    any converter has levels.
     """
     quantized = False
     for i in range(index.shape[0]):
@@ -132,7 +135,7 @@ def _convert(
     volts: Any,
     clipped: Any,
 ) -> None:
-    """Write volts (blocks, drives, LANES) of actions (B, drives), and count entries outside [-1, 1] in clipped (B,).
+    """Write volts (blocks, drives, LANES) of actions (B, drives), and the entries outside [-1, 1] in clipped.
 
     rated (drives,) V; converters (blocks, 3 drives, LANES): quantum, lowest and highest voltage, V.
     """
@@ -153,10 +156,11 @@ def _convert(
 
 @compiled
 def _delay(history: Any, delays: Any, period: float, h: float, first: int, last: int, inputs: Any) -> None:
-    """Write the mean voltage that arrives in each step of a control period to inputs (blocks, steps * drives, LANES).
+    """Write the mean voltage of each step of a control period to inputs (blocks, steps * drives, LANES).
 
-    history (blocks, periods, drives, LANES): volts of this period (0), the one before (1), ...; delays (blocks, drives,
-    LANES) s. A step h is not longer than the period, so that at most two commanded voltages arrive during it.
+    history (blocks, periods, drives, LANES): volts of this period (0), the one before (1), ...; delays
+    (blocks, drives, LANES) s. A step h is not longer than the period, so that at most two commanded voltages
+    arrive during it.
     """
     drives = history.shape[2]
     oldest = history.shape[1] - 1

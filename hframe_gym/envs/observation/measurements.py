@@ -1,8 +1,9 @@
 """Simulation of sensors for a batch of environments: noise, quantization and range; `delays` has their delay.
 
-An ideal reading is the output of a sensor in its unit, without noise and quantization, as the compiled simulation
-kernel (generated code) computes it. Readings have the kernel's SIMD layout (blocks, sensors, LANES): environment b is
-lane b % LANES of block b // LANES. A measurement includes noise, quantization and range.
+An ideal reading is the output of a sensor in its unit, without noise and quantization, as the compiled
+simulation kernel (generated code) computes it. Readings have the kernel's SIMD layout (blocks, sensors,
+LANES): environment b is lane b % LANES of block b // LANES. A measurement includes noise, quantization and
+range.
 """
 
 from __future__ import annotations
@@ -27,17 +28,19 @@ _FIRST_CUSTOM_CHANNEL = 1 << 20
 
 
 class SensorArray:
-    """Turn ideal readings into measurements with noise, quantization and range; store the last two of each sensor.
+    """Turn ideal readings into measurements with noise, quantization and range; store the last two.
 
     Args:
         sensors: The n sensors to measure.
         count: Number of environments.
-        column: Function that takes the full name of a parameter ("x_m.noise") and returns its column in the argument
-            `values` of `begin`.
+        column: Function that takes the full name of a parameter ("x_m.noise") and returns its column in the
+            argument `values` of `begin`.
 
     Attributes:
-        measurements: Last measurements (row 0) and those before (row 1), m or rad, shape (2, blocks, n, LANES).
-        low: Lower end of each sensor's range, in the channels' units, -inf without a range, shape (blocks, n, LANES).
+        measurements: Last measurements (row 0) and those before (row 1), m or rad,
+            shape (2, blocks, n, LANES).
+        low: Lower end of each sensor's range, in the channels' units, -inf without a range,
+            shape (blocks, n, LANES).
         high: Upper end, inf without a range, shape (blocks, n, LANES).
     """
 
@@ -64,7 +67,7 @@ class SensorArray:
         self.measurements = np.zeros((2, *size))
 
     def begin(self, index: Index, keys: EpisodeKeys, values: EnvironmentParameters) -> None:
-        """Begin new episodes of k environments: set noise, resolution and range of sensors, and random keys."""
+        """Begin new episodes of k environments: noise, resolution and range of sensors, random keys."""
         self._keys[index] = keys
         block, lane = np.divmod(index, LANES)
         for j, (noise, resolution) in enumerate(self._device_columns):
@@ -80,7 +83,7 @@ class SensorArray:
                 )
 
     def measure(self, readings: LaneReadings, elapsed: EnvironmentCounts, first: int, last: int) -> None:
-        """Turn ideal readings, delays included, of the environments in blocks first to last - 1 into measurements.
+        """Turn ideal readings, delays included, of environments in blocks first..last-1 into measurements.
 
         They are stored in row 0 of the attribute `measurements`; the previous ones move to row 1. The number
         of `elapsed` control periods since the reset selects the random numbers.
@@ -94,7 +97,7 @@ class SensorArray:
         index: Index,
         block_ranges: Iterable[tuple[int, int]],
     ) -> None:
-        """Take the first measurements in new episodes of k environments, in `block_ranges`; rates are zero."""
+        """Take first measurements in new episodes of k environments, in `block_ranges`; rates are zero."""
         measured, unused = np.empty_like(self.measurements)
         for first, last in block_ranges:
             self._measure(readings, elapsed, first, last, measured, unused)
@@ -133,8 +136,8 @@ class SensorArray:
 def _measurement_program(rows: Sequence[int]) -> LaneProgram:
     """Compile the function that turns the readings in some rows into measurements.
 
-    A measurement is the reading plus noise, rounded to the resolution (0: not rounded). A reading at an end of the
-    range has no noise, and noise does not lead out of the range.
+    A measurement is the reading plus noise, rounded to the resolution (0: not rounded). A reading at an end
+    of the range has no noise, and noise does not lead out of the range.
     """
     lines = []
     for j, row in enumerate(rows):
@@ -165,10 +168,10 @@ def _measure(
     out: Any,
     before: Any,
 ) -> None:
-    """Write measurements of blocks first..last-1 to out (blocks, n, LANES), what was there to before, same shape.
+    """Write measurements of blocks first..last-1 to out (blocks, n, LANES), the former ones to before.
 
-    program: address of the function of `_measurement_program`; readings (blocks, sensors, LANES); devices: noise,
-    resolution, low and high end of the range, (blocks, n, LANES) each.
+    program: address of the function of `_measurement_program`; readings (blocks, sensors, LANES); devices:
+    noise, resolution, low and high end of the range, (blocks, n, LANES) each.
     """
     noise, resolution, low, high = devices
     normals = _normals(noise, keys, elapsed, first, last)
@@ -179,7 +182,7 @@ def _measure(
 
 @compiled
 def _normals(noise: Any, keys: Any, elapsed: Any, first: int, last: int) -> Any:
-    """Return normal numbers (last - first, n, LANES) of the sensors with noise (blocks, n, LANES), others are zero."""
+    """Return normal numbers (last - first, n, LANES) for sensors with noise (blocks, n, LANES), else zero."""
     begin, count = first * LANES, min(last * LANES, len(elapsed)) - first * LANES
     run = slice(begin, begin + count)
     out = np.zeros((last - first, noise.shape[1], LANES))
@@ -202,10 +205,10 @@ def _normals(noise: Any, keys: Any, elapsed: Any, first: int, last: int) -> Any:
 def _next_normals(
     noise: Any, keys: Any, elapsed: Any, channel: int, normals: Any, spares: Any, has_spare: Any
 ) -> bool:
-    """Write a normal number for each environment to normals (k,) if the sensor has noise (k,); return whether it has.
+    """Write a normal number per environment to normals (k,) if the sensor has noise (k,); return whether so.
 
-    Normal numbers come in pairs. The second of a pair, in spares (k,) where has_spare (k,), is for the next sensor with
-    noise of the environment.
+    Normal numbers come in pairs. The second of a pair, in spares (k,) where has_spare (k,), is for the next
+    sensor with noise of the environment.
     """
     noisy = new = 0
     for i in range(len(noise)):
@@ -229,7 +232,7 @@ def _next_normals(
 def _ideal_and_normal(
     readings: Any, row: int, keys: Any, elapsed: Any, index: Any, channel: int, ideal: Any, normals: Any
 ) -> None:
-    """Write the ideal readings (k,) of one sensor and a normal number (k,) for each of environments index (k,)."""
+    """Write ideal readings (k,) of one sensor and a normal number (k,) for environments index (k,)."""
     for i in range(index.shape[0]):
         b = index[i]
         ideal[i] = readings[b // LANES, row, b % LANES]

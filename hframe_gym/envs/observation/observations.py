@@ -1,7 +1,7 @@
 """Observations of a batch of environments, from the state or from measurements.
 
-Environments are simulated in blocks: environment b is lane b % LANES of block b // LANES. Methods for a range of blocks
-can run in several threads at once.
+Environments are simulated in blocks: environment b is lane b % LANES of block b // LANES. Methods for a range
+of blocks can run in several threads at once.
 """
 
 from __future__ import annotations
@@ -32,11 +32,12 @@ _FLOAT32 = np.dtype(np.float32)  # saves its construction in every step
 
 
 class StateView:
-    """Select n positions and velocities of the simulated state for an observation; the first are the tool position.
+    """Select n positions and velocities of the state for an observation; the first are the tool position.
 
     Attributes:
         size: Number of entries n.
-        bounds: Lower, then upper bounds of the entries (m, rad, m/s or rad/s), rounded to float32, shape (2 n, LANES).
+        bounds: Lower, then upper bounds of the entries (m, rad, m/s or rad/s), rounded to float32,
+            shape (2 n, LANES).
         program: Compiled function `observe`.
     """
 
@@ -77,7 +78,8 @@ class ObservationBuilder:
 
     Args:
         sensors: Observed sensors, or None to observe the true state.
-        privileged: Whether observations contain the array `privileged` (true state and randomized parameters).
+        privileged: Whether observations contain the array `privileged` (true state and randomized
+            parameters).
 
     Attributes:
         entries: Name, unit and bounds of every entry of `observation`.
@@ -103,7 +105,8 @@ class ObservationBuilder:
             self._state = StateView(simulator, self.entries)
         else:
             self._sensors = SensorArray(machine, sensors, count, sampler.space.names.index)
-            # Blocks are measured as a whole: environments that were never reset have the nominal noise and resolution.
+            # Blocks are measured as a whole: environments that were never reset have the nominal noise and
+            # resolution.
             nominal = np.tile(sampler.space.nominal, (count, 1))
             self._sensors.begin(np.arange(count), np.zeros(count, np.uint64), nominal)
             position = PositionFromSensors.of(machine, sensors)
@@ -122,7 +125,7 @@ class ObservationBuilder:
     def _observe(
         self, first: int, last: int, view: StateView, out: NDArray[np.float32], tool: NDArray[np.float32]
     ) -> int:
-        """Write a view to `out`, the tool position to `tool`; return an environment with a non-finite state, or -1."""
+        """Write a view to `out`, the tool position to `tool`; return one with a non-finite state, or -1."""
         broken: int = _observe(*self._inputs(view), first, last, out, tool)
         return broken
 
@@ -145,7 +148,7 @@ class ObservationBuilder:
         sampler: MachineSampler,
         elapsed: EnvironmentCounts,
     ) -> None:
-        """Begin new episodes of k environments: store the randomized parameters and take the first measurements.
+        """Begin new episodes of k environments: store randomized parameters and take first measurements.
 
         Parameters are stored for the array `privileged`, measurements if sensors are observed. The sampler is
         the one that returned keys and values.
@@ -157,10 +160,10 @@ class ObservationBuilder:
             self._sensors.measure_first(self._simulator.readings, elapsed, index, block_ranges(index))
 
     def measure(self, first: int, last: int, elapsed: EnvironmentCounts) -> None:
-        """Measure with the sensors of blocks first to last - 1 at the end of a control period, and store the results.
+        """Measure with sensors of blocks first to last - 1 at a control period's end, and store the results.
 
-        `write` puts the measurements and their rates of change into observations. Nothing happens if the true state is
-        observed. The number of `elapsed` control periods since the reset selects the random numbers.
+        `write` puts the measurements and their rates of change into observations. Nothing happens if the true
+        state is observed. The number of `elapsed` control periods since the reset selects the random numbers.
         """
         if self._sensors is not None:
             self._sensors.measure(self._simulator.readings, elapsed, first, last)
@@ -189,14 +192,15 @@ class ObservationBuilder:
     ) -> int:
         """Write observations and true tool positions of the environments in blocks first to last - 1.
 
-        All are limited to the bounds of the observation space. With `evaluation`, distances to the goal and rewards are
-        written too.
+        All are limited to the bounds of the observation space. With `evaluation`, distances to the goal and
+        rewards are written too.
 
         Args:
             observation: Output; rows of other blocks are not changed.
-            tool: Output, true tool positions, m, shape (count, axes); `achieved_goal` itself if the state is observed.
-            evaluation: The last arguments of `evaluate_rows`, with two output arrays, shape (count,) each: distances,
-                m or rad, and rewards. Default: neither is computed.
+            tool: Output, true tool positions, m, shape (count, axes); `achieved_goal` itself if the state is
+                observed.
+            evaluation: The last arguments of `evaluate_rows`, with two output arrays, shape (count,) each:
+                distances, m or rad, and rewards. Default: neither is computed.
 
         Returns:
             Index of an environment whose state is not finite, or -1 if all are finite.
@@ -245,15 +249,16 @@ class ObservationBuilder:
         )
 
     def write_tool(self, first: int, last: int, tool: NDArray[np.float32]) -> None:
-        """Write true positions in blocks `first` to `last` - 1, limited, to `tool`, m, shape (count, axes)."""
+        """Write true positions, blocks `first` to `last` - 1, limited, to `tool`, m, shape (count, axes)."""
         self._observe(first, last, self._tool, tool, tool)
 
 
 def _measurement_program(position: PositionFromSensors, sensors: Sequence[Sensor], axes: int) -> LaneProgram:
     """Compile the function that computes an observation from measurements: them, then the rates of positions.
 
-    The position along an axis is the measurement itself where that is strictly inside its range, else what the other
-    sensors give on unstretched belts. The rows of `bounds` limit measurements and rates first, then the axes.
+    The position along an axis is the measurement itself where that is strictly inside its range, else what
+    the other sensors give on unstretched belts. The rows of `bounds` limit measurements and rates first, then
+    the axes.
     """
     n = len(sensors)
     rated = [j for j, sensor in enumerate(sensors) if sensor.of_position]
@@ -300,10 +305,11 @@ def _write_measurements(
     out: Any,
     achieved: Any,
 ) -> None:
-    """Write observations out (B, size) and positions achieved (B, axes) of blocks first..last-1 from measurements.
+    """Write observations out (B, size) and positions achieved (B, axes) of blocks first..last-1.
 
-    program: address of the function of `_measurement_program`; history (2, blocks, n, LANES): last measurements and
-    those before; range_low, range_high (blocks, n, LANES): ends of the ranges; bounds (2 size + 2 axes, LANES).
+    program: address of the function of `_measurement_program`; history (2, blocks, n, LANES): last
+    measurements and those before; range_low, range_high (blocks, n, LANES): ends of the ranges; bounds (2
+    size + 2 axes, LANES).
     """
     size, axes = out.shape[1], achieved.shape[1]
     values = np.empty((size + axes, LANES))
@@ -318,10 +324,10 @@ def _write_measurements(
 def _observe(
     program: int, size: int, state: Any, units: Any, bounds: Any, first: int, last: int, out: Any, tool: Any
 ) -> int:
-    """Write a view of the state with n = size entries to out (B, n or more), the first also to tool (B, axes).
+    """Write a state view with n = size entries to out (B, n or more), the first also to tool (B, axes).
 
-    program: address of its function; units (blocks, coordinates, LANES): units per meter of travel; bounds (2 n,
-    LANES). Return the index of an environment whose state is not finite, or -1.
+    program: address of its function; units (blocks, coordinates, LANES): units per meter of travel; bounds (2
+    n, LANES). Return the index of an environment whose state is not finite, or -1.
     """
     values = np.empty((size + 1, LANES))
     broken = -1

@@ -1,8 +1,9 @@
 """Sensors of an environment: those that the machine declares, or encoders and lasers in their place.
 
-The machine declares its sensors (channel, kind, noise, resolution). Their range, delay, skew and scale are effects
-(modeled deviations from the basic machine). The option `sensors` uses the declared sensors, or replaces them by those
-of a rig (a stage with its measuring equipment). The module `measurements` simulates them.
+The machine declares its sensors (channel, kind, noise, resolution). Their range, delay, skew and scale are
+effects (modeled deviations from the basic machine). The option `sensors` uses the declared sensors, or
+replaces them by those of a rig (a stage with its measuring equipment). The module `measurements` simulates
+them.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ class Encoders:
             raise InputError(f"sensors: lines is {self.lines!r}, it must be a number, at least 1")
 
     def resolution(self, gear_ratio: float) -> float:
-        """Compute the rotation of the pulley per count, rad, for the `gear_ratio` motor speed / pulley speed."""
+        """Compute the pulley's rotation per count, rad, for the `gear_ratio` motor speed / pulley speed."""
         return 2.0 * math.pi / (4.0 * self.lines * gear_ratio)
 
 
@@ -77,7 +78,7 @@ class SensorSuite(ABC):
 
     @abstractmethod
     def apply(self, machine: Machine) -> Machine:
-        """Return a copy of a machine with the sensors of this suite, their ranges as effects `sensor_range`."""
+        """Return a copy of a machine with this suite's sensors, their ranges as effects `sensor_range`."""
 
     @abstractmethod
     def observed(self, machine: Machine) -> tuple[Sensor, ...]:
@@ -86,7 +87,7 @@ class SensorSuite(ABC):
 
 @dataclass(frozen=True)
 class Sensors(SensorSuite):
-    """Encoders and lasers of a rig. They replace the sensors that the machine declares for x, y and driven coordinates.
+    """Encoders and lasers of a rig. They replace the declared sensors for x, y and driven coordinates.
 
     Delay, skew and scale, which are effects of the machine, remain; the range is that of `lasers`.
 
@@ -112,7 +113,7 @@ class Sensors(SensorSuite):
 
     @override
     def apply(self, machine: Machine) -> Machine:
-        """Let lasers measure x and y, and encoders the driven coordinates; other sensors of these are replaced.
+        """Let lasers measure x and y, and encoders the driven coordinates; other such sensors are replaced.
 
         Raises:
             InputError: If a drive acts on x or y itself, which would then have both a laser and an encoder.
@@ -156,15 +157,15 @@ class DeclaredSensors(SensorSuite):
 
     @override
     def observed(self, machine: Machine) -> tuple[Sensor, ...]:
-        """Select all sensors, ordered by coordinate: the tool's axes, the driven coordinates, then all other ones."""
+        """Select all sensors, ordered by coordinate: tool axes, driven coordinates, then all others."""
         first = observed_coordinates(machine)
         order = [*first, *(c for c in machine.coordinate_names if c not in first)]
         return tuple(sorted(machine.sensors, key=lambda s: order.index(machine.coordinate_of_sensor(s))))
 
 
 SensorsLike: TypeAlias = Literal["state", "rig", "machine"] | SensorSuite
-# The rig of Sollmann et al. (2010), section II: encoders with 512 lines on the motor side of a gear of 5.9:1 and lasers
-# with a range of 100 mm. The paper gives neither their noise nor their position.
+# The rig of Sollmann et al. (2010), section II: encoders with 512 lines on the motor side of a gear of 5.9:1
+# and lasers with a range of 100 mm. The paper gives neither their noise nor their position.
 SENSOR_PRESETS: dict[str, SensorSuite | None] = {
     "state": None,
     "rig": Sensors(),
@@ -173,7 +174,7 @@ SENSOR_PRESETS: dict[str, SensorSuite | None] = {
 
 
 def as_sensors(sensors: SensorsLike) -> SensorSuite | None:
-    """Convert the environment option `sensors` to a sensor suite, None for "state", or raise an InputError."""
+    """Convert the option `sensors` to a sensor suite, None for "state", or raise an InputError."""
     if isinstance(sensors, SensorSuite):
         return sensors
     if not isinstance(sensors, str) or sensors not in SENSOR_PRESETS:
@@ -229,7 +230,7 @@ def _with_range(machine: Machine, channel: str, low: float, high: float) -> Mach
 
 
 def sensor_range_names(sensor: Sensor) -> tuple[str, str]:
-    """Return the names of the parameters (low, high) of the measuring range of a sensor, "sensor_range@x_m.low"."""
+    """Return the names of the parameters (low, high) of a sensor's range, "sensor_range@x_m.low"."""
     return f"sensor_range@{sensor.channel}.low", f"sensor_range@{sensor.channel}.high"
 
 
@@ -238,8 +239,9 @@ class PositionFromSensors:
     """Map the measurements of n sensors to the tool position.
 
     Attributes:
-        belts: Matrix from the n measurements to the tool position (m) with unstretched belts, shape (axes, n). It uses
-            the sensors of other coordinates (encoders); zero where these do not determine the axis.
+        belts: Matrix from the n measurements to the tool position (m) with unstretched belts,
+            shape (axes, n). It uses the sensors of other coordinates (encoders); zero where these do not
+            determine the axis.
         direct: Index of the sensor that measures each axis itself, -1 if there is none, shape (axes,).
         scale: Factor from the measurement of the sensor `direct` to the tool position (m), shape (axes,).
     """
@@ -250,7 +252,7 @@ class PositionFromSensors:
 
     @classmethod
     def of(cls, machine: Machine, sensors: tuple[Sensor, ...]) -> PositionFromSensors:
-        """Derive the map from the machine's kinematics with unstretched belts; shapes are stated at the class.
+        """Derive the map from the machine's kinematics with unstretched belts; for shapes see the class.
 
         Raises:
             InputError: If the sensors do not determine every axis.

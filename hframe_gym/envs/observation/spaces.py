@@ -21,8 +21,8 @@ MARGIN = 0.05
 # Bound of velocities / no-load speed of the drives; no motion that a drive can cause is so fast.
 SPEED_FACTOR = 3.0
 
-# m, error at which the entries of `error` change from linear to logarithmic: about the precision that a policy without
-# them reaches.
+# m, error at which the entries of `error` change from linear to logarithmic: about the precision that a
+# policy without them reaches.
 ERROR_SCALE = 1e-4
 
 
@@ -31,15 +31,17 @@ class SignalSpec:
     """Name, unit and bounds of one entry of the observation arrays `observation` or `privileged`.
 
     Attributes:
-        name: "<coordinate>", "<coordinate> velocity", "<channel>", "<channel> rate", or full name of a parameter.
+        name: "<coordinate>", "<coordinate> velocity", "<channel>", "<channel> rate", or full name of a
+            parameter.
         unit: Unit, for example "m" or "rad/s"; "1" for a parameter divided by its nominal value.
         coordinate: Coordinate of which the entry is the position or velocity; "" for a parameter.
         velocity: Whether the entry is a velocity.
         low: Lower bound, in `unit`.
         high: Upper bound, in `unit`.
-        center: Value that `normalize=True` maps to 0, in `unit`: the middle of the range of a position or parameter.
-        scale: Difference to `center` that `normalize=True` maps to 1, in `unit`: half the range of a position or
-            parameter, the drives' no-load speed for a velocity.
+        center: Value that `normalize=True` maps to 0, in `unit`: the middle of the range of a position or
+            parameter.
+        scale: Difference to `center` that `normalize=True` maps to 1, in `unit`: half the range of a position
+            or parameter, the drives' no-load speed for a velocity.
     """
 
     name: str
@@ -53,13 +55,14 @@ class SignalSpec:
 
 
 def state_signals(machine: Machine, names: Sequence[str] | None = None) -> tuple[SignalSpec, ...]:
-    """Specify the entries of an observation of the true state: positions of coordinates, then their velocities.
+    """Specify the entries of an observation of the true state: positions of coordinates, then velocities.
 
     Args:
         names: Names of coordinates. Default: the tool's axes and the driven coordinates.
 
     Raises:
-        InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool axis.
+        InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool
+            axis.
     """
     workspace = workspace_of(machine)
     # m/s of belt: without load at rated voltage, times a margin
@@ -81,8 +84,8 @@ def state_signals(machine: Machine, names: Sequence[str] | None = None) -> tuple
 def _largest_speed(machine: Machine, drive: Drive, workspace: Array) -> float:
     """Return 3 times (`SPEED_FACTOR`) the speed along the belt that a drive can cause, m/s, without load.
 
-    A drive without back-EMF reaches the lower of two speeds: that at which viscous friction holds its rated force, and
-    that after the way along the workspace with its rated force.
+    A drive without back-EMF reaches the lower of two speeds: that at which viscous friction holds its rated
+    force, and that after the way along the workspace with its rated force.
     """
     coordinate = machine.coordinate(drive.coordinate)
     if drive.Ke > 0.0:
@@ -119,13 +122,15 @@ def _largest_position(machine: Machine, name: str, workspace: Array) -> tuple[fl
 
 
 def sensor_signals(machine: Machine, sensors: Sequence[Sensor]) -> tuple[SignalSpec, ...]:
-    """Specify the entries of an observation by sensors: measurements, then the rates of change of the positions.
+    """Specify the entries of an observation by sensors: measurements, then the rates of the positions.
 
-    A rate is the difference of the last two measurements divided by the control period. An entry has the name of the
-    coordinate, or of the sensor's channel if several sensors measure its position, or if it is not a position.
+    A rate is the difference of the last two measurements divided by the control period. An entry has the name
+    of the coordinate, or of the sensor's channel if several sensors measure its position, or if it is not a
+    position.
 
     Raises:
-        InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool axis.
+        InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool
+            axis.
     """
     coordinates = [machine.coordinate_of_sensor(sensor) for sensor in sensors]
     located = [name for name, sensor in zip(coordinates, sensors, strict=True) if sensor.of_position]
@@ -170,14 +175,15 @@ def _other_signal(machine: Machine, sensor: Sensor) -> SignalSpec:
 
 
 def privileged_signals(machine: Machine, bounds: Mapping[str, tuple[float, float]]) -> tuple[SignalSpec, ...]:
-    """Specify the entries of `privileged`, the observation array for a critic: true state, randomized parameters.
+    """Specify the entries of `privileged`, observed by a critic: true state, randomized parameters.
 
     Args:
-        bounds: For each randomized parameter, by full name ("x.mass"), the smallest and largest value that it can have,
-            divided by its nominal value, dimensionless (SI if that is 0).
+        bounds: For each randomized parameter, by full name ("x.mass"), the smallest and largest value that it
+            can have, divided by its nominal value, dimensionless (SI if that is 0).
 
     Raises:
-        InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool axis.
+        InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool
+            axis.
     """
     observed = [spec.coordinate for spec in state_signals(machine) if not spec.velocity]
     others = [name for name in machine.coordinate_names if name not in observed]
@@ -197,16 +203,18 @@ def observation_signals(
     observed: Sequence[SignalSpec] | None = None,
     privileged: Sequence[SignalSpec] = (),
 ) -> dict[str, tuple[SignalSpec, ...]]:
-    """Specify the entries of all arrays of an observation, by key in alphabetical order as in a space of Gymnasium.
+    """Specify the entries of all arrays of an observation, by key in alphabetical order as in Gymnasium.
 
     Args:
         previews: Number of future goals in the observation; 0 for a goal that does not move.
-        observed: Entries of the array `observation`. Default: positions and velocities of the tool's axes and the
-            driven coordinates.
-        privileged: Entries of the array `privileged` for a critic (true state, parameters). Default: no such array.
+        observed: Entries of the array `observation`. Default: positions and velocities of the tool's axes and
+            the driven coordinates.
+        privileged: Entries of the array `privileged` for a critic (true state, parameters). Default: no such
+            array.
 
     Raises:
-        InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool axis.
+        InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool
+            axis.
     """
     workspace = workspace_of(machine)
 
@@ -226,7 +234,8 @@ def observation_signals(
 def observation_space(machine: Machine, previews: int = 0) -> spaces.Dict:
     """Create the observation space of an environment with its default options, but for the task.
 
-    The arguments and errors are those of `observation_signals`; the boxes are bounded, float32, one for each key.
+    The arguments and errors are those of `observation_signals`; the boxes are bounded, float32, one for each
+    key.
     """
     signals = observation_signals(machine, previews)
     return spaces.Dict({key: box(*bounds_of(specs)) for key, specs in signals.items()})
@@ -250,10 +259,11 @@ def bounds_of(signals: Sequence[SignalSpec]) -> tuple[Array, Array]:
 class ObservationFormat:
     """Convert observations in SI units to the form that the options `normalize`, `flat` and `error` select.
 
-    Normalized entries are (value - center) / scale, computed in float32; `SignalSpec` documents center and scale. The
-    array `error` has, for each axis, sign(e) log(1 + |e| / 0.1 mm) of e = desired_goal - achieved_goal (1 mrad along
-    rotary axes), divided by its value for the largest possible error. A flat observation is one array that holds the
-    keys in alphabetical order, as Gymnasium's `FlattenObservation` does.
+    Normalized entries are (value - center) / scale, computed in float32; `SignalSpec` documents center and
+    scale. The array `error` has, for each axis, sign(e) log(1 + |e| / 0.1 mm) of e = desired_goal -
+    achieved_goal (1 mrad along rotary axes), divided by its value for the largest possible error. A flat
+    observation is one array that holds the keys in alphabetical order, as Gymnasium's `FlattenObservation`
+    does.
 
     Args:
         signals: Specification of every entry, by key in alphabetical order.
@@ -263,7 +273,8 @@ class ObservationFormat:
 
     Attributes:
         active: Whether observations change at all.
-        entries: Specifications of all entries of a flat observation, in order; None if observations have keys.
+        entries: Specifications of all entries of a flat observation, in order; None if observations have
+            keys.
         space: Observation space of one environment.
     """
 
@@ -318,11 +329,11 @@ class ObservationFormat:
         return np.copysign(np.minimum(logarithm, np.float32(1.0)), error)
 
     def apply(self, observation: dict[str, NDArray[np.float32]]) -> Any:
-        """Convert an `observation`, SI, float32, shape (n, entries of the key), as the environment's options select.
+        """Convert an `observation`, SI, float32, shape (n, entries of the key), as the options select.
 
         Returns:
-            Arrays of the same shapes, with `error` where it is selected, or, with `flat`, one array of shape (n, all
-            entries); without the options `observation` itself.
+            Arrays of the same shapes, with `error` where it is selected, or, with `flat`, one array of
+            shape (n, all entries); without the options `observation` itself.
         """
         if not self.active:
             return observation
@@ -336,11 +347,11 @@ class ObservationFormat:
         return np.concatenate([values[key] for key in self._keys], axis=1)
 
     def restore(self, observation: Any) -> dict[str, NDArray[np.float32]]:
-        """Convert observations of the selected format back to arrays by key in SI units, the inverse of `apply`.
+        """Convert observations of the selected format to arrays by key in SI units, the inverse of `apply`.
 
         Returns:
-            Arrays by key, SI, float32, shape (n, entries of the key); equal to those before `apply` but for the
-            rounding of float32.
+            Arrays by key, SI, float32, shape (n, entries of the key); equal to those before `apply` but for
+            the rounding of float32.
 
         Raises:
             InputError: If the observation has other keys or another number of entries than this format.
@@ -376,7 +387,7 @@ class ObservationFormat:
         return np.stack([center, scale if self.normalize else np.zeros_like(scale)])
 
     def goal_in_axis_unit(self, goal: ArrayLike) -> NDArray[np.float32]:
-        """Convert a `goal` as observed, m or normalized, shape (axes,) or (n, axes), to a position, m, float32."""
+        """Convert an observed `goal`, m or normalized, shape (axes,) or (n, axes), to m, float32."""
         values = np.asarray(goal, np.float32)
         return (
             values * self._scale["desired_goal"] + self._center["desired_goal"] if self.normalize else values

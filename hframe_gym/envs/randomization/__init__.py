@@ -1,1 +1,1 @@
-"""Randomization: distributions and rules, the parameters that are sampled from them, and the random numbers."""
+"""Randomization: distributions and rules, the parameters sampled from them, and random numbers."""

@@ -1,12 +1,12 @@
 """Domain randomization: rules that say which parameters an episode changes, and by which distribution.
 
-A rule combines a parameter (or a pattern of names), a distribution, how the sampled number changes the parameter
-(`scale`, `add` or `set`) and when it is sampled (`reset` or `startup`):
+A rule combines a parameter (or a pattern of names), a distribution, how the sampled number changes the
+parameter (`scale`, `add` or `set`) and when it is sampled (`reset` or `startup`):
 
-    RandomizeParameter("*.coulomb", Uniform(0.5, 2.0))                         each Coulomb level, every episode
+    RandomizeParameter("*.coulomb", Uniform(0.5, 2.0))                         each Coulomb level, each time
     RandomizeParameter("*.EA", Uniform(0.7, 1.3), shared=True)                 one number for all belts
     RandomizeParameter("x.mass", Normal(0.0, 0.1), how="add", when="startup")  once per seed
-    RandomizeParameter("x_m.noise", ("log_uniform", 0.5, 2.0))                 a distribution by its registered name
+    RandomizeParameter("x_m.noise", ("log_uniform", 0.5, 2.0))                 a distribution by its name
 
 `machine_sampler` samples by these rules.
 """
@@ -42,15 +42,15 @@ class Distribution(Protocol):
     def bounded(self) -> bool:
         """Whether all samples lie between two finite numbers.
 
-        If so, an environment checks once, when it is made, that samples stay within the limits of the parameters.
-        Otherwise it checks every sample.
+        If so, an environment checks once, when it is made, that samples stay within the limits of the
+        parameters. Otherwise it checks every sample.
         """
 
     def quantile(self, u: Array) -> Array:
-        """Compute quantiles, in the arguments' unit, shape (k,): a sample is below number i with probability u[i].
+        """Compute quantiles, in their unit, shape (k,): a sample is below number i with probability u[i].
 
-        If u are uniform random numbers, the quantiles are random samples. Entry i must depend on u[i] only, so that an
-        environment gets exactly the same sample in a batch of any size.
+        If u are uniform random numbers, the quantiles are random samples. Entry i must depend on u[i] only,
+        so that an environment gets exactly the same sample in a batch of any size.
 
         Args:
             u: Probabilities in (0, 1), shape (k,).
@@ -150,16 +150,18 @@ class RandomizeParameter:
     """Randomize the parameters whose name matches a pattern.
 
     Args:
-        parameter: Full name, or a pattern with *, ? and [...]. Names are those of `Machine.parameters` (`x.mass`,
-            `sensor_delay@x_m.d`), `Machine.device_parameters` (`x_m.noise`, `motor1.converter_bits`) and of the task
-            (`task.speed`).
-        distribution: A `Distribution`, or the registered name of one with its arguments, e.g. ("uniform", 0.9, 1.1).
+        parameter: Full name, or a pattern with *, ? and [...]. Names are those of `Machine.parameters`
+            (`x.mass`, `sensor_delay@x_m.d`), `Machine.device_parameters` (`x_m.noise`,
+            `motor1.converter_bits`) and of the task (`task.speed`).
+        distribution: A `Distribution`, or the registered name of one with its arguments, e.g. ("uniform",
+            0.9, 1.1).
         how: Whether the sampled number scales the parameter, is added to it or replaces it.
         when: Sample at every reset, or once per seed ("startup").
         shared: Sample one number for all matching parameters instead of one for each.
 
     Raises:
-        InputError: If `distribution` is neither a `Distribution` nor the name and arguments of a registered one.
+        InputError: If `distribution` is neither a `Distribution` nor the name and arguments of a registered
+            one.
     """
 
     parameter: str
@@ -192,7 +194,7 @@ class RandomizeParameter:
             )
 
     def quantile(self, u: Array) -> Array:
-        """Compute the quantiles of the distribution for the probabilities `u`, shape (k,); `apply` takes them."""
+        """Compute the distribution's quantiles for probabilities `u`, shape (k,); `apply` takes them."""
         return self._distribution.quantile(u)
 
     @property
@@ -202,13 +204,14 @@ class RandomizeParameter:
 
     @property
     def _distribution(self) -> Distribution:
-        """The distribution, checked when the rule was made: a check against a protocol would be most of a reset."""
+        """The distribution, checked when the rule was made: a check of protocols would be most of a reset."""
         return cast("Distribution", self.distribution)
 
     def apply(self, value: Array, sample: Array) -> Array:
-        """Change parameters (SI) by samples of the distribution, as the attribute `how` says, shape (k,) each.
+        """Change parameters (SI) by distribution samples, as the attribute `how` says, shape (k,) each.
 
-        The result is `value` * `sample` for "scale", `value` + `sample` for "add", and the sample itself for "set".
+        The result is `value` * `sample` for "scale", `value` + `sample` for "add", and the sample itself for
+        "set".
         """
         if self.how == "scale":
             return value * sample
@@ -219,8 +222,8 @@ class RandomizeParameter:
 class RandomizeIdentified:
     """Sample the identified parameters from their joint normal distribution around the machine's values.
 
-    The distribution is truncated at the limits of each parameter: if a parameter is poorly identified, the normal
-    distribution also contains values that no machine has, such as a negative mass.
+    The distribution is truncated at the limits of each parameter: if a parameter is poorly identified, the
+    normal distribution also contains values that no machine has, such as a negative mass.
 
     Args:
         widen: Factor on the identified standard deviations.
@@ -265,15 +268,17 @@ def as_rules(randomize: RandomizationLike, names: Sequence[str]) -> tuple[Rule, 
     """Convert the environment option `randomize` to randomization rules.
 
     Args:
-        randomize: Preset name ("default", ...), or a list of `RandomizeParameter` and `RandomizeIdentified`. An entry
-            may also be a dict of the arguments of `RandomizeParameter`, as read from a TOML or JSON file.
+        randomize: Preset name ("default", ...), or a list of `RandomizeParameter` and `RandomizeIdentified`.
+            An entry may also be a dict of the arguments of `RandomizeParameter`, as read from a TOML or JSON
+            file.
         names: Full names of all parameters that can be randomized, for example "x.mass".
 
     Returns:
         Rules in the order of the preset or list, without those of a preset that match none of `names`.
 
     Raises:
-        InputError: If the preset or a distribution is unknown, or an entry is not a rule or has an invalid argument.
+        InputError: If the preset or a distribution is unknown, or an entry is not a rule or has an invalid
+            argument.
     """
     if isinstance(randomize, Mapping):
         raise InputError(
@@ -313,5 +318,5 @@ def _as_rule(entry: object) -> Rule:
 
 
 def matching(names: Sequence[str], rule: RandomizeParameter) -> list[int]:
-    """Return the ascending indices of the names that match the pattern of a rule, case-sensitive, as in file names."""
+    """Return ascending indices of names that match a rule's pattern, case-sensitive, as in file names."""
     return [i for i, name in enumerate(names) if fnmatchcase(name, rule.parameter)]

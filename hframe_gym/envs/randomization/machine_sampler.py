@@ -36,7 +36,7 @@ MAXIMUM_CONVERTER_BITS = 32.0
 
 @dataclass(frozen=True)
 class ParameterSpace:
-    """List the N parameters of an environment that can be randomized, with their limits. Arrays have shape (N,).
+    """List an environment's N parameters that can be randomized, with limits. Arrays have shape (N,).
 
     The order is: `Machine.parameters`, `Machine.device_parameters`, parameters of the task (`task.*`).
     """
@@ -50,20 +50,21 @@ class ParameterSpace:
 
     @classmethod
     def of(cls, machine: Machine, task_parameters: ParameterValues | None = None) -> ParameterSpace:
-        """Collect the parameters of a machine and a task that can be randomized, with the limits of their values.
+        """Collect the parameters of a machine and a task that can be randomized, with their limits.
 
         The limits follow from the nominal value v. There is no upper limit unless one is stated:
 
         - parameters of an effect: the bounds in its definition; `converter_bits`: 0 (not quantized) to 32;
         - friction (`viscous`, `coulomb`), sensor `noise` and `resolution`: at least 0;
-        - `rest_length`, the unstretched length of a belt at position 0: so large that the unstretched length is at
-          least 0.05 v at every position in the workspace;
+        - `rest_length`, the unstretched length of a belt at position 0: so large that the unstretched length
+          is at least 0.05 v at every position in the workspace;
         - all others, also those of the task: at least 0.05 v; no limits if v is negative.
 
         Arrays of the result have shape (N,).
 
         Args:
-            task_parameters: Nominal values of the task's parameters, SI, by name without "task.", e.g. "speed".
+            task_parameters: Nominal values of the task's parameters, SI, by name without "task.", e.g.
+                "speed".
         """
         task = {f"task.{name}": value for name, value in (task_parameters or {}).items()}
         values = {**machine.parameters, **machine.device_parameters, **task}
@@ -78,8 +79,9 @@ class ParameterSpace:
         lower, upper = np.array(
             [bounds.get(name, (low, math.inf)) for name, low in defaults.items()], np.float64
         ).T
-        # Idler pulleys divide a belt into sections whose lengths are tied to one of them. The shortest section can need
-        # a longer belt than a rule for all belts yields. This is no mistake of the user, so the samples are clipped.
+        # Idler pulleys divide a belt into sections whose lengths are tied to one of them. The shortest
+        # section can need a longer belt than a rule for all belts yields. This is no mistake of the user, so
+        # the samples are clipped.
         names = tuple(values)
         clipped = {
             names.index(free) for tied, (free, _) in machine.ties.items() if tied.endswith(".rest_length")
@@ -90,7 +92,7 @@ class ParameterSpace:
 
 
 class _RuleStep(NamedTuple):
-    """A rule, or a joint distribution, with the n parameters that it changes and the uniform numbers that it uses."""
+    """A rule, or a joint distribution, with the n parameters it changes and uniform numbers it uses."""
 
     parameters: list[int]  # indices in the parameter space, length n
     columns: list[int]  # of the uniform numbers, length n; all equal if the rule shares one number
@@ -98,7 +100,7 @@ class _RuleStep(NamedTuple):
 
 
 class RuleSampler:
-    """Sample parameters by the rules that apply once per seed ("startup"), or by those that apply at every reset.
+    """Sample parameters by rules that apply once per seed ("startup"), or those that apply at every reset.
 
     The rules are applied in their order: each changes the values that the earlier ones yielded.
 
@@ -106,10 +108,12 @@ class RuleSampler:
         space: Names, nominal values and limits of all N parameters.
         rules: Randomization rules.
         when: Rules to apply, "reset" (every episode) or "startup" (once per seed); the others are ignored.
-        before: Smallest and largest values before the rules, SI, shape (N,) each. Default: the nominal values twice.
+        before: Smallest and largest values before the rules, SI, shape (N,) each. Default: the nominal values
+            twice.
 
     Attributes:
-        names: Full names of the parameters that the rules change; a parameter that is 0 and only scaled does not.
+        names: Full names of the parameters that the rules change; a parameter that is 0 and only scaled does
+            not.
         draws: Number of uniform random numbers per environment that `sample` needs.
         low: Smallest possible value of every parameter after sampling, SI, shape (N,).
         high: Largest possible value of every parameter after sampling, SI, shape (N,).
@@ -146,7 +150,7 @@ class RuleSampler:
         self.draws = columns[-1] + 1
 
     def _add_parameter_rule(self, rule: RandomizeParameter) -> None:
-        """Add a rule for single parameters; raise InputError for one that matches none or can leave the limits."""
+        """Add a rule for single parameters; raise InputError if it matches none or can leave the limits."""
         indices = matching(self._space.names, rule)
         if not indices:
             effect = (
@@ -165,7 +169,7 @@ class RuleSampler:
             self._update_range(i, rule)
 
     def _update_range(self, i: int, rule: RandomizeParameter) -> None:
-        """Set `low` and `high` of parameter i to the extreme results of a rule for values in their present range."""
+        """Set `low` and `high` of parameter i to a rule's extreme results for values in the present range."""
         samples = rule.quantile(np.array([SMALLEST_UNIFORM, LARGEST_UNIFORM]))
         before = np.array([self.low[i], self.high[i]])
         # Both samples with both ends: a negative scale turns the smallest value into the largest.
@@ -176,7 +180,7 @@ class RuleSampler:
         self.low[i], self.high[i] = np.clip([results.min(), results.max()], lower, upper)
 
     def _check_limits(self, rule: RandomizeParameter, i: int, values: Array, verb: str) -> None:
-        """Raise InputError if values (k,) of parameter i are outside its limits; `verb` is part of the message."""
+        """Raise InputError if values (k,) of parameter i are outside its limits; the message has `verb`."""
         lower, upper = self._space.lower[i], self._space.upper[i]
         for value in (float(values.min()), float(values.max())):
             tolerance = 1e-12 * max(abs(lower), abs(value))  # room for two roundings
@@ -189,7 +193,7 @@ class RuleSampler:
                 )
 
     def _add_identified_rule(self, rule: RandomizeIdentified, machine: Machine) -> None:
-        """Add joint samples of the identified parameters; raise InputError if the machine has no covariance."""
+        """Add joint samples of identified parameters; raise InputError if the machine has no covariance."""
         uncertainty, space = machine.uncertainty, self._space
         if uncertainty is None or not uncertainty.names:
             raise InputError(
@@ -208,7 +212,8 @@ class RuleSampler:
         """Sample the parameters of k environments by the rules.
 
         Args:
-            base: Parameters before sampling, SI, shape (k, N), or (1, N) if they are the same in all environments.
+            base: Parameters before sampling, SI, shape (k, N), or (1, N) if they are the same in all
+                environments.
             uniforms: Uniform random numbers in (0, 1), shape (k, draws).
 
         Returns:
@@ -234,7 +239,7 @@ class RuleSampler:
         return values
 
     def _limited(self, rule: RandomizeParameter, i: int, values: Array) -> Array:
-        """Return samples (k,) of parameter i, clipped where that is allowed; raise InputError for others outside."""
+        """Return samples (k,) of parameter i, clipped where allowed; raise InputError for others."""
         if i in self._space.clipped:
             return np.clip(values, self._space.lower[i], self._space.upper[i])
         if not rule.bounded and len(values):  # bounded rules were checked when they were added
@@ -247,9 +252,9 @@ class RuleSampler:
 class MachineSampler:
     """Sample the parameters of `count` environments, and the keys (seeds) of their episodes.
 
-    Each environment takes one random number from its generator when it is seeded. The key of an episode is derived from
-    this number and the count of episodes since then. Rules with `when="startup"` change the nominal values once per
-    seed. Rules with `when="reset"` change the resulting values in every episode.
+    Each environment takes one random number from its generator when it is seeded. The key of an episode is
+    derived from this number and the count of episodes since then. Rules with `when="startup"` change the
+    nominal values once per seed. Rules with `when="reset"` change the resulting values in every episode.
 
     Args:
         randomize: Name of a preset such as "default", or a list of rules.
@@ -292,7 +297,7 @@ class MachineSampler:
         self._keys, self._episodes = np.zeros(count, np.uint64), np.zeros(count, np.int64)
 
     def _check_order(self, machine: Machine, rules: Sequence[Rule]) -> None:
-        """Raise InputError if a parameter of an effect can fall below the one that its `above` names, as of a range.
+        """Raise InputError if a parameter of an effect can fall below the one in its `above`, as of a range.
 
         A rule with one number for both (`shared`) keeps their order.
         """
@@ -319,17 +324,17 @@ class MachineSampler:
         self._seeded[b] = self._needs_startup[b] = True
 
     def normalized(self, values: EnvironmentParameters) -> Array:
-        """Divide the randomized parameters by their nominal values; a parameter with nominal value 0 is not divided.
+        """Divide the randomized parameters by their nominal values; one of nominal value 0 is not divided.
 
         Returns:
-            Randomized parameters in the order of the attribute `names`, dimensionless (SI if the nominal value is 0),
-            shape (k, len(names)).
+            Randomized parameters in the order of the attribute `names`, dimensionless (SI if the nominal
+            value is 0), shape (k, len(names)).
         """
         nominal = self.space.nominal[self.columns]
         return values[:, self.columns] / np.where(nominal == 0.0, 1.0, nominal)
 
     def normalized_bounds(self) -> dict[str, tuple[float, float]]:
-        """Compute the smallest and the largest values that `normalized` can return, by full name of the parameter.
+        """Compute the smallest and the largest values that `normalized` can return, by full name.
 
         They are always finite, because the uniform numbers exclude 0 and 1.
         """

@@ -1,17 +1,18 @@
 """Random numbers of episodes, and joint normal samples of parameters from them.
 
-Uniform and normal random numbers are counter-based: each is a hash of (key, step, channel). The key of an episode is
-derived from one 64-bit number of its environment's generator and the number of the episode. Everything else that is
-random in the episode follows from the key, independently of evaluation order, batch size, SIMD lane and thread.
-Logarithm, sine and cosine are polynomials, because those of the C library differ between systems.
+Uniform and normal random numbers are counter-based: each is a hash of (key, step, channel). The key of an
+episode is derived from one 64-bit number of its environment's generator and the number of the episode.
+Everything else that is random in the episode follows from the key, independently of evaluation order, batch
+size, SIMD lane and thread. Logarithm, sine and cosine are polynomials, because those of the C library differ
+between systems.
 
-`CorrelatedSampler` converts uniform numbers to parameters from their joint normal distribution within limits, such that
-known sums of parameters are kept.
+`CorrelatedSampler` converts uniform numbers to parameters from their joint normal distribution within limits,
+such that known sums of parameters are kept.
 
 References:
-    Steele, Lea and Flood, "Fast splittable pseudorandom number generators" (2014): the hash is the finalizer of
-    SplitMix64, applied after each of the three inputs.
-    Box and Muller, "A note on the generation of random normal deviates" (1958).
+    Steele, Lea and Flood, "Fast splittable pseudorandom number generators" (2014): the hash is the finalizer
+    of SplitMix64, applied after each of the three inputs. Box and Muller, "A note on the generation of random
+    normal deviates" (1958).
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ _S11, _S27, _S30, _S31 = (np.uint64(n) for n in (11, 27, 30, 31))
 _ONE = np.uint64(1)
 # Step of the random numbers that a reset uses; no episode reaches it.
 RESET_STEP = 2**62
-# Smallest number of `uniform`. The largest, as close to 1, rounds to 1, whose quantile can be infinite: resets use the
-# number below it.
+# Smallest number of `uniform`. The largest, as close to 1, rounds to 1, whose quantile can be infinite:
+# resets use the number below it.
 SMALLEST_UNIFORM, LARGEST_UNIFORM = 0.5 * 2.0**-53, 1.0 - 2.0**-53
 _LARGEST_NORMAL = -float(ndtri(SMALLEST_UNIFORM))
 _ROUNDING = 1e-12  # fraction of a variance below which a difference of variances is rounding
@@ -52,13 +53,13 @@ def _mix(z: Any) -> Any:
 def uniform(key: Any, step: Any, channel: Any) -> float:
     """Generate one uniform random number in (0, 1], dimensionless, as a hash of a key and two counters.
 
-    Equal arguments always give the same number; there is no internal state. The number is exactly 1 with probability
-    2^-53 only.
+    Equal arguments always give the same number; there is no internal state. The number is exactly 1 with
+    probability 2^-53 only.
 
     Args:
         key: Key of the episode, which `episode_keys` derives from a seed, uint64.
-        step: Number of the control period since the reset, from 0, integer; 2^62 (`RESET_STEP`) for the numbers that
-            the reset itself uses.
+        step: Number of the control period since the reset, from 0, integer; 2^62 (`RESET_STEP`) for the
+            numbers that the reset itself uses.
         channel: Index of the random number within the step, from 0; integer.
     """
     z = _mix(np.uint64(key) + _GOLDEN)
@@ -89,8 +90,8 @@ def _log(x: float) -> float:
 def cos_sin_of_turns(u: Any) -> Any:
     """Compute cosine and sine of an angle in turns (1 turn is 2 pi rad), each with an error below 1e-15.
 
-    Unlike results of the C library, they have the same bits on every system. In compiled code the angle may be a SIMD
-    register.
+    Unlike results of the C library, they have the same bits on every system. In compiled code the angle may
+    be a SIMD register.
     """
     quarter = np.floor(4.0 * u + 0.5)  # nearest multiple of a quarter turn
     r = (4.0 * u - quarter) * 1.5707963267948966  # rest of the angle, rad, -pi/4 to pi/4
@@ -103,7 +104,8 @@ def cos_sin_of_turns(u: Any) -> Any:
     )
     sine = 1.0 / 120 - s * (1.0 / 5040 - s * (1.0 / 362880 - s * (1.0 / 39916800 - s * sine)))
     sine = r * (1.0 - s * (1.0 / 6 - s * sine))
-    # Turn the vector (cosine, sine) of the rest by 0 to 3 quarter turns: by one if odd, then by two if at least two.
+    # Turn the vector (cosine, sine) of the rest by 0 to 3 quarter turns: by one if odd, then by two if at
+    # least two.
     turns = quarter - 4.0 * np.floor(0.25 * quarter)
     odd, back = (turns == 1.0) | (turns == 3.0), turns >= 2.0
     first, second = -sine if odd else cosine, cosine if odd else sine
@@ -112,7 +114,7 @@ def cos_sin_of_turns(u: Any) -> Any:
 
 @compiled
 def normal_pair(key: Any, step: Any, channel: Any) -> tuple[float, float]:
-    """Generate two independent normal random numbers of mean 0 and variance 1, dimensionless (Box and Muller 1958).
+    """Generate two independent standard normal random numbers, dimensionless (Box and Muller 1958).
 
     They are computed from the uniform random numbers `channel` and `channel + 1` of the step, see `uniform`.
     """
@@ -125,7 +127,8 @@ def normal_pair(key: Any, step: Any, channel: Any) -> tuple[float, float]:
 def normal_pairs(keys: Any, steps: Any, channel: Any, first: Any, second: Any) -> None:
     """Generate two independent normal random numbers for each of k episodes, as `normal_pair` does for one.
 
-    Keys, uint64, steps, int64, and the outputs `first` and `second` have the shape (k,); the channel is common.
+    Keys, uint64, steps, int64, and the outputs `first` and `second` have the shape (k,); the channel is
+    common.
     """
     for i in range(len(keys)):
         first[i] = uniform(keys[i], steps[i], channel)
@@ -147,22 +150,22 @@ def _fill(keys: Any, out: Any) -> None:
 
 
 def reset_uniforms(keys: EpisodeKeys, count: int) -> NDArray[np.float64]:
-    """Generate `count` uniform random numbers in (0, 1) for the reset of each of k episodes, shape (k, count)."""
+    """Generate `count` uniform numbers in (0, 1) for the reset of each of k episodes, shape (k, count)."""
     out = np.empty((len(keys), count))
     _fill(keys, out)
     return out
 
 
 def episode_keys(keys: EpisodeKeys, episodes: NDArray[np.int64]) -> EpisodeKeys:
-    """Derive the keys of new episodes in k environments; all random numbers of an episode follow from its key.
+    """Derive the keys of new episodes in k environments; an episode's random numbers follow from its key.
 
-    The keys of successive episodes of an environment differ by a constant, as do the states of the generator SplitMix64
-    (Steele, Lea and Flood 2014).
+    The keys of successive episodes of an environment differ by a constant, as do the states of the generator
+    SplitMix64 (Steele, Lea and Flood 2014).
 
     Args:
         keys: Keys of the environments, one 64-bit random number each.
-        episodes: Number of the new episode of each environment since it was seeded, from 0, shape (k,); -1 gives the
-            key for the parameters that are sampled once per seed.
+        episodes: Number of the new episode of each environment since it was seeded, from 0, shape (k,); -1
+            gives the key for the parameters that are sampled once per seed.
     """
     return keys + _GOLDEN * episodes.astype(np.uint64)
 
@@ -170,14 +173,15 @@ def episode_keys(keys: EpisodeKeys, episodes: NDArray[np.int64]) -> EpisodeKeys:
 def pivoted_cholesky(covariance: Array, scale: Array) -> Array:
     """Factorize a covariance matrix, which may be singular, into L L^T by the Cholesky method with pivoting.
 
-    If z holds independent standard normal numbers, L z has this covariance. Column j of L contains the changes of all
-    parameters with z[j]. Its pivot is the parameter with the largest variance that the columns before j do not explain
-    (in units of `scale`). Example: if the sum of two parameters is known well and their difference is not, a single
-    column contains nearly all of their variance, with opposite signs.
+    If z holds independent standard normal numbers, L z has this covariance. Column j of L contains the
+    changes of all parameters with z[j]. Its pivot is the parameter with the largest variance that the columns
+    before j do not explain (in units of `scale`). Example: if the sum of two parameters is known well and
+    their difference is not, a single column contains nearly all of their variance, with opposite signs.
 
     Args:
         covariance: Symmetric positive semidefinite matrix of k parameters, SI, shape (k, k).
-        scale: Typical sizes of the parameters, in whose units variances are compared, SI, positive, shape (k,).
+        scale: Typical sizes of the parameters, in whose units variances are compared, SI, positive,
+            shape (k,).
 
     Returns:
         Factor L, SI, shape (k, k), with columns of 0 where no variance remains. Rows are in the order of the
@@ -204,10 +208,10 @@ def pivoted_cholesky(covariance: Array, scale: Array) -> Array:
 class CorrelatedSampler:
     """Sample deviations of k parameters from their nominal values.
 
-    The distribution is normal with a given covariance and truncated. Deviations are L z with the Cholesky factor L of
-    the covariance and independent standard normal numbers z, which are truncated: z[j] keeps those parameters within
-    their limits that get more than half of their variance from it. Clipping single parameters instead would change sums
-    of parameters that are known well.
+    The distribution is normal with a given covariance and truncated. Deviations are L z with the Cholesky
+    factor L of the covariance and independent standard normal numbers z, which are truncated: z[j] keeps
+    those parameters within their limits that get more than half of their variance from it. Clipping single
+    parameters instead would change sums of parameters that are known well.
 
     Args:
         covariance: Covariance of the parameters, SI, shape (k, k).
@@ -233,7 +237,7 @@ class CorrelatedSampler:
         self.reach: Array = np.abs(self._factor).sum(axis=1) * _LARGEST_NORMAL
 
     def deviations(self, uniforms: Array) -> Array:
-        """Convert uniform random numbers to deviations of k parameters from their nominal values, SI, shape (n, k).
+        """Convert uniform numbers to deviations of k parameters from nominal values, SI, shape (n, k).
 
         A parameter that depends on several of the random numbers can still exceed its limits.
 

@@ -21,26 +21,27 @@ Metrics = Literal["reach", "track"]
 class Task(ABC):
     """Base class of tasks: where an episode starts, and where the goal of the tool is at every time.
 
-    At reset a task makes a *plan* for each environment: a row of `plan_size` numbers that defines the goal at all times
-    of the episode (for `reach` the target, for `track` path, center, direction, start and speed). All methods are pure
-    functions: goals do not depend on earlier calls, and the arrays that a method receives are not changed, because they
-    can be parts of those that the environment keeps. To add a task, write a subclass with `begin` and `goal` and
-    register it:
+    At reset a task makes a *plan* for each environment: a row of `plan_size` numbers that defines the goal at
+    all times of the episode (for `reach` the target, for `track` path, center, direction, start and speed).
+    All methods are pure functions: goals do not depend on earlier calls, and the arrays that a method
+    receives are not changed, because they can be parts of those that the environment keeps. To add a task,
+    write a subclass with `begin` and `goal` and register it:
 
         @TASKS.register("my-task")
         @dataclass(frozen=True)
         class MyTask(Task): ...
 
     Attributes:
-        metrics: Set of evaluation metrics: "reach" for a goal that is reached (settling time, success at the end),
-            "track" for a goal that moves along a path (contour and tracking errors), which needs `contour`.
+        metrics: Set of evaluation metrics: "reach" for a goal that is reached (settling time, success at the
+            end), "track" for a goal that moves along a path (contour and tracking errors), which needs
+            `contour`.
         draws: Number of uniform random numbers per episode that `begin` uses.
         plan_size: Number of entries in a plan. Plans may be shorter for a machine with one axis.
-        lengths: Names of the settings that are lengths or speeds along the axes. For a machine with rotary axes,
-            `as_task` converts their defaults to rad and rad/s at the end of an arm of 0.1 m.
+        lengths: Names of the settings that are lengths or speeds along the axes. For a machine with rotary
+            axes, `as_task` converts their defaults to rad and rad/s at the end of an arm of 0.1 m.
         band: Distance to the goal that counts as a success, m or rad.
-        moving: Whether goals can move during an episode. False saves time in every step, because the goal at the reset
-            is then that of the whole episode; not used for a task with previews or metrics "track".
+        moving: Whether goals can move during an episode. False saves time in every step, because the goal at
+            the reset is then that of the whole episode; not used for a task with previews or metrics "track".
     """
 
     metrics: ClassVar[Metrics] = "reach"
@@ -52,7 +53,7 @@ class Task(ABC):
 
     @property
     def ahead_s(self) -> tuple[float, ...]:
-        """Time from now to each future goal in the observation `preview`, s, ascending; empty for a fixed goal."""
+        """Time to each future goal in the observation `preview`, s, ascending; empty for a fixed goal."""
         return ()
 
     @property
@@ -62,11 +63,11 @@ class Task(ABC):
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Nominal values, SI, of the parameters that rules can randomize, by name without "task."; empty by default."""
+        """Nominal values, SI, of the parameters that rules can randomize, by name without "task."."""
         return {}
 
     def check(self, workspace: Workspace) -> None:  # noqa: B027  (optional)
-        """Check that starts and goals of the task lie in the workspace; an environment calls it when it is made."""
+        """Check that starts and goals of the task lie in the workspace; environments call it when made."""
 
     @abstractmethod
     def begin(
@@ -76,8 +77,8 @@ class Task(ABC):
 
         Args:
             uniforms: Uniform random numbers in (0, 1), shape (k, draws).
-            parameters: Values in the k episodes of all parameters that the attribute `parameters` declares, SI, by
-                name, shape (k,) each. Default: nominal values.
+            parameters: Values in the k episodes of all parameters that the attribute `parameters` declares,
+                SI, by name, shape (k,) each. Default: nominal values.
 
         Returns:
             start: Start positions of the tool, m, shape (k, axes).
@@ -86,7 +87,7 @@ class Task(ABC):
 
     @abstractmethod
     def goal(self, plan: GoalPlans, elapsed_s: Array) -> Array:
-        """Compute the goals of k episodes, m, at one time, shape (k, axes), or at m times each, shape (k, m, axes).
+        """Compute k episodes' goals, m, at one time, shape (k, axes), or at m times each, shape (k, m, axes).
 
         Args:
             elapsed_s: Times since the reset, s, not negative, shape (k,) or (k, m).
@@ -105,8 +106,8 @@ class Task(ABC):
         This default calls `goal`; a task may override it with a faster method.
 
         Args:
-            ahead_s: Times from the present to the m future goals in the observation, s, shape (m,), as the property
-                `ahead_s` of the task.
+            ahead_s: Times from the present to the m future goals in the observation, s, shape (m,), as the
+                property `ahead_s` of the task.
             goals: Output, present goals, m, shape (k, axes).
             previews: Output, future goals, m, shape (k, m, axes).
         """
@@ -119,7 +120,7 @@ class Task(ABC):
         raise InputError(f"task {self.name} has no target; reset takes only the option 'start'")
 
     def contour(self, plan: GoalPlans, points: Array, elapsed_s: ElapsedTimes) -> Array | None:
-        """Compute the contour error: the distance from the tool to the path on which the goal moves, m, shape (k,).
+        """Compute the contour error: the distance from the tool to the goal's path, m, shape (k,).
 
         None for a task without a path, which is the default.
 
@@ -139,10 +140,11 @@ def as_task(task: TaskLike, unit: AxisUnit = METERS, **settings: Any) -> Task:
     """Convert the environment option `task` to a task.
 
     Args:
-        task: Registered name ("reach", "track"), `package.module:name`, or a `Task`, which is returned unchanged: its
-            lengths are in the unit of the machine's axes.
+        task: Registered name ("reach", "track"), `package.module:name`, or a `Task`, which is returned
+            unchanged: its lengths are in the unit of the machine's axes.
         unit: Unit of the machine's axes, in which the defaults of a named task are.
-        **settings: Keywords of the task's class, for example speed=0.2, if `task` is a name; otherwise ignored.
+        **settings: Keywords of the task's class, for example speed=0.2, if `task` is a name; otherwise
+            ignored.
 
     Raises:
         InputError: If the name is unknown, the argument is not a task, or a setting is invalid.
@@ -168,7 +170,8 @@ def check_point(label: str, points: Array, workspace: Workspace) -> None:
         points: Points, m or rad, shape (axes,) or (k, axes).
 
     Raises:
-        InputError: If a point is not finite, lies outside the workspace, or does not have one coordinate per axis.
+        InputError: If a point is not finite, lies outside the workspace, or does not have one coordinate per
+            axis.
     """
     fits = points.dtype.kind in "fiu" and points.shape[-1:] == (len(workspace),)
     if not (fits and np.all((points >= workspace[:, 0]) & (points <= workspace[:, 1]))):
@@ -205,7 +208,7 @@ class ReferenceTrajectories:
 
     @property
     def elapsed(self) -> NDArray[np.int64]:
-        """Number of control periods since the reset of each of the `count` environments, shape (count,); a copy."""
+        """Number of control periods since each of `count` environments' reset, shape (count,); a copy."""
         return self._now - self._began
 
     def advance(self) -> None:
@@ -224,7 +227,7 @@ class ReferenceTrajectories:
         self._fixed_goals[index] = self._task.goal(plans, np.zeros(len(index)))
 
     def goals(self, index: Index | slice) -> NDArray[np.float32]:
-        """Compute the goals of k environments at the present time, m, float32, shape (k, axes), a new array."""
+        """Compute the present goals of k environments, m, float32, shape (k, axes), a new array."""
         if not self.moving:
             return np.array(self._fixed_goals[index])
         return self._task.goal(self._plans[index], self._elapsed_s[index]).astype(np.float32)
@@ -249,9 +252,9 @@ class ReferenceTrajectories:
         """Write the present and future goals of k environments to an observation.
 
         Args:
-            observation: Arrays by key. Two are written: `desired_goal`, m, shape (count, axes), and, for a task with p
-                future goals, `preview`, m, shape (count, axes * p): all axes of the first future goal, then of the
-                second, ...
+            observation: Arrays by key. Two are written: `desired_goal`, m, shape (count, axes), and, for a
+                task with p future goals, `preview`, m, shape (count, axes * p): all axes of the first future
+                goal, then of the second, ...
         """
         if not self.moving:
             observation["desired_goal"][index] = self._fixed_goals[index]
@@ -267,7 +270,7 @@ class ReferenceTrajectories:
                 observation["preview"][index] = previews
 
     def path(self, b: int, elapsed_s: Array) -> NDArray[np.float32]:
-        """Compute goals of environment b at `elapsed_s`, s, shape (n,): m, shape (n, axes), or (0, axes) if at rest."""
+        """Compute goals of environment b at `elapsed_s`, s, shape (n,): m, (n, axes); (0, axes) at rest."""
         if not self.moving:
             return np.zeros((0, self._fixed_goals.shape[1]), np.float32)
         return self._task.goal(self._plans[b : b + 1], elapsed_s[None])[0].astype(np.float32)

@@ -1,7 +1,7 @@
 """Plane curves by arc length (circles, and straight segments for every other curve), and motion along them.
 
-A curve is centered on the origin; the task moves it. The arc length s, m, continues over the laps of a closed curve and
-stops at the ends of an open one.
+A curve is centered on the origin; the task moves it. The arc length s, m, continues over the laps of a closed
+curve and stops at the ends of an open one.
 """
 
 from __future__ import annotations
@@ -53,15 +53,15 @@ class Curve:
         """Compute the points x, y at n arc lengths, m, shape (n, 2).
 
         Args:
-            s: Arc lengths from the start of the curve, m, any real number, shape (n,). Beyond its ends, a closed curve
-                repeats; on an open curve, the point stays at the end.
+            s: Arc lengths from the start of the curve, m, any real number, shape (n,). Beyond its ends, a
+                closed curve repeats; on an open curve, the point stays at the end.
         """
         points = np.empty((len(s), 2))
         _write_points(s, self.data, points)
         return points
 
     def distance(self, points: Array, s: Array) -> Array:
-        """Compute the distances, m, shape (n,), of `points`, m, shape (n, 2), to the curve near `s`, m, shape (n,)."""
+        """Compute distances, m, (n,), of `points`, m, shape (n, 2), to the curve near `s`, m, shape (n,)."""
         distances = np.empty(len(points))
         write_distances(points, s, self.data, distances)
         return distances
@@ -112,12 +112,14 @@ def point_at(s: float, curve: Any) -> Any:
 def write_distances(points: Any, s: Any, curve: Any, distances: Any) -> None:
     """Write the distances of n points to a curve.
 
-    With d the distance from a point to the curve's point at s, the nearest point is searched from s - pi d to s + pi d.
-    A branch that is close by, but farther along the curve, is therefore ignored. The formula for circles is exact.
+    With d the distance from a point to the curve's point at s, the nearest point is searched from s - pi d to
+    s + pi d. A branch that is close by, but farther along the curve, is therefore ignored. The formula for
+    circles is exact.
 
     Args:
         points: Points x, y, m, shape (n, 2).
-        s: Approximate arc length of the nearest point of the curve to each point, m, shape (n,); not used for a circle.
+        s: Approximate arc length of the nearest point of the curve to each point, m, shape (n,); not used for
+            a circle.
         curve: Radius, vertices and arc lengths of the curve (`CurveData`).
         distances: Output, distances, m, shape (n,).
     """
@@ -170,11 +172,12 @@ def _squared_distance_to_segment(x: float, y: float, begin: Any, end: Any) -> fl
 
 @compiled
 def _distance_to_polyline(x: float, y: float, s: float, curve: Any) -> float:
-    """Return the distance of the point x, y to the segments of a curve near arc length s, as `write_distances` says."""
+    """Return the distance of the point x, y to a curve near arc length s, as `write_distances` says."""
     vertices, vertex_s, segments = curve.vertices, curve.vertex_s, len(curve.vertex_s) - 1
     length = vertex_s[segments]
     center, (goal_x, goal_y) = _wrapped(s, curve), _point_of_polyline(s, curve)
-    # At most half a circle whose chord is twice the distance to the goal lies between s and the nearest point.
+    # At most half a circle whose chord is twice the distance to the goal lies between s and the nearest
+    # point.
     window = math.pi * math.sqrt((x - goal_x) * (x - goal_x) + (y - goal_y) * (y - goal_y))
     window = min(window, length / 2 if curve.closed else length)
     low, high = center - window, center + window
@@ -210,8 +213,9 @@ def _speed_up(t: float, speed: float, lead_s: float) -> float:
 def traveled(t: float, speed: float, lead_s: float, length: float) -> float:
     """Compute how far, m, a goal has traveled along its path at time t. Only compiled functions can call it.
 
-    The goal starts at rest and reaches `speed` at t = lead_s, by v = speed (3 u^2 - 2 u^3) with u = t / lead_s. On a
-    path of finite length it slows down in the same way, so that it comes to rest at the end of the path.
+    The goal starts at rest and reaches `speed` at t = lead_s, by v = speed (3 u^2 - 2 u^3) with u = t /
+    lead_s. On a path of finite length it slows down in the same way, so that it comes to rest at the end of
+    the path.
 
     Args:
         t: Time since the start, s, not negative.
@@ -230,19 +234,19 @@ def traveled(t: float, speed: float, lead_s: float, length: float) -> float:
 
 
 def circle(size: float) -> Curve:
-    """Create a circle of diameter `size`, m, counterclockwise from (size / 2, 0); vertices of shape (0, 2)."""
+    """Create a circle of diameter `size`, m, counterclockwise from (size / 2, 0); vertices (0, 2)."""
     radius = 0.5 * size
     return Curve(CurveData(radius, True, np.zeros((0, 2)), np.array([0.0, 2.0 * math.pi * radius])))
 
 
 def square(size: float) -> Polyline:
-    """Create a square of side `size`, m, around the origin, counterclockwise from the middle of its right side."""
+    """Create a square of side `size`, m, around the origin, counterclockwise from its right side's middle."""
     corners = [(1, 0), (1, 1), (-1, 1), (-1, -1), (1, -1), (1, 0)]
     return Polyline(0.5 * size * np.array(corners, float))
 
 
 def lissajous(size: float) -> Polyline:
-    """Create the figure of eight x = size / 2 sin(a), y = size / 2 sin(2 a), in equal segments; `size` in m."""
+    """Create a figure 8, x = size / 2 sin(a), y = size / 2 sin(2 a), in equal segments; `size` in m."""
     from scipy.interpolate import CubicSpline  # takes a tenth of a second, which a start without it saves
 
     angle = np.linspace(0.0, 2.0 * np.pi, 4 * SEGMENTS + 1)

@@ -19,12 +19,12 @@ from .base import TASKS, Task, check_point
 class Reach(Task):
     """Move the tool to a point and keep it there.
 
-    The lengths are angles for a machine with rotary axes; the task "reach" then has a margin of 0.2 rad and a band of
-    10 mrad.
+    The lengths are angles for a machine with rotary axes; the task "reach" then has a margin of 0.2 rad and a
+    band of 10 mrad.
 
     Args:
-        start: Start position (x, y), or (x,) with one axis, m. Default: random, uniform in the workspace reduced by
-            `margin`.
+        start: Start position (x, y), or (x,) with one axis, m. Default: random, uniform in the workspace
+            reduced by `margin`.
         target: Target position, likewise.
         margin: Minimum distance of random positions from the edge of the workspace, m, not negative.
         band: Distance to the target that counts as a success, m, positive.
@@ -58,7 +58,8 @@ class Reach(Task):
     ) -> tuple[Array, Array]:
         """Choose start and target positions, which are the plans, of k episodes.
 
-        Both are random, at least `margin` inside the workspace, unless the attributes `start` and `target` fix them.
+        Both are random, at least `margin` inside the workspace, unless the attributes `start` and `target`
+        fix them.
         """
         low, high = workspace[:, 0] + self.margin, workspace[:, 1] - self.margin
         points = [low + (high - low) * uniforms[:, i : i + len(low)] for i in (0, 2)]

@@ -20,8 +20,8 @@ from ...recordings import read_path
 from .base import TASKS, Metrics, Task
 from .curves import SHAPES, Curve, Polyline, point_at, traveled, write_distances
 
-# Columns of a plan: index of the path, its center along each axis (m), direction (+1 or -1), arc length at the start
-# (m), speed (m/s).
+# Columns of a plan: index of the path, its center along each axis (m), direction (+1 or -1), arc length at
+# the start (m), speed (m/s).
 PATH, CENTER, DIRECTION, START, SPEED = 0, slice(1, -3), -3, -2, -1
 
 
@@ -30,27 +30,32 @@ PATH, CENTER, DIRECTION, START, SPEED = 0, slice(1, -3), -3, -2, -1
 class Track(Task):
     """Follow a goal along a path, from rest at its beginning.
 
-    The goal speeds up over `lead_s` by v = speed (3 u^2 - 2 u^3), u = t / lead_s, so that its acceleration has no step
-    (at 0.3 m/s and 0.2 s it is at most 2.3 m/s^2, a twentieth of what full voltage gives). At the end of an open path
-    it slows down in the same way. A file with times keeps its times, with straight lines between the points.
+    The goal speeds up over `lead_s` by v = speed (3 u^2 - 2 u^3), u = t / lead_s, so that its acceleration
+    has no step (at 0.3 m/s and 0.2 s it is at most 2.3 m/s^2, a twentieth of what full voltage gives). At the
+    end of an open path it slows down in the same way. A file with times keeps its times, with straight lines
+    between the points.
 
-    A machine with one axis follows the motion of a shape along x: a circle gives a sine, a square moves and pauses in
-    turn. The way back is the way there, so that the distance to the path is that to the goal. The lengths are angles if
-    the axes are rotary; the task "track" then has a size of 0.5 rad, 3 rad/s and a band of 10 mrad.
+    A machine with one axis follows the motion of a shape along x: a circle gives a sine, a square moves and
+    pauses in turn. The way back is the way there, so that the distance to the path is that to the goal. The
+    lengths are angles if the axes are rotary; the task "track" then has a size of 0.5 rad, 3 rad/s and a band
+    of 10 mrad.
 
     Args:
-        path: Name of a shape ("circle", "square", "lissajous"), a tuple of names (one is chosen at random per episode),
-            or a CSV file of points (see `hframe_gym.recordings`), whose position and direction are not changed.
+        path: Name of a shape ("circle", "square", "lissajous"), a tuple of names (one is chosen at random per
+            episode), or a CSV file of points (see `hframe_gym.recordings`), whose position and direction are
+            not changed.
         size: Width of a shape, m, positive.
         speed: Speed along the path after the speed-up, m/s, positive; rules randomize it as `task.speed`.
-        centre: Center (x, y) of a shape, m. Default: random, uniform where the shape is at least `margin` inside.
+        centre: Center (x, y) of a shape, m. Default: random, uniform where the shape is at least `margin`
+            inside.
         direction: 1 (counterclockwise), -1, or None for a random one.
         phase: Fraction of a lap at which the goal starts, 0 to 1, or None for a random one.
         lead_s: Duration of the speed-up, s, positive.
         previews: Number of future goals in the observation, at least 1.
         preview_s: Time between future goals, s, positive.
         margin: Minimum distance of random shapes from the edge of the workspace, m, not negative.
-        band: Distance to the moving goal that counts as a success, m, positive; a delay on the path is an error too.
+        band: Distance to the moving goal that counts as a success, m, positive; a delay on the path is an
+            error too.
 
     Raises:
         InputError: If a number is invalid, a shape is unknown or a path cannot be read.
@@ -129,7 +134,7 @@ class Track(Task):
 
     @cached_property
     def _is_single_curve(self) -> bool:
-        """Whether all episodes follow one curve, at the speeds in their plans, so that compiled functions apply."""
+        """Whether all episodes follow one curve, at their plans' speeds, so that compiled functions apply."""
         return len(self._curves) == 1 and self._times is None
 
     @property
@@ -182,9 +187,9 @@ class Track(Task):
     ) -> tuple[Array, Array]:
         """Choose path, center, direction and phase (point of the path where the goal starts) of k episodes.
 
-        What the attributes `path`, `centre`, `direction` and `phase` do not fix is random. A path from a file is
-        followed from its first point. A row of the plan is: index of the path, center (m), direction (+1 or -1), arc
-        length at the start (m), speed (m/s).
+        What the attributes `path`, `centre`, `direction` and `phase` do not fix is random. A path from a file
+        is followed from its first point. A row of the plan is: index of the path, center (m), direction (+1
+        or -1), arc length at the start (m), speed (m/s).
         """
         axes = len(workspace)
         plan = np.zeros((len(uniforms), 4 + axes))
@@ -262,18 +267,19 @@ class Track(Task):
 def arc_lengths(plan: Any, elapsed_s: Any, lead_s: float, length: float) -> Any:
     """Compute the arc lengths of the goals of n episodes along their paths at m times each.
 
-    A goal starts at rest and reaches its speed after `lead_s`. On an open path it slows down in the same way and stays
-    at the end; its speed is limited to length / lead_s.
+    A goal starts at rest and reaches its speed after `lead_s`. On an open path it slows down in the same way
+    and stays at the end; its speed is limited to length / lead_s.
 
     Args:
-        plan: Path of each episode, shape (n, 4 + axes). The last three columns are used: direction (+1 or -1), arc
-            length at the start (m) and speed (m/s).
+        plan: Path of each episode, shape (n, 4 + axes). The last three columns are used: direction (+1 or
+            -1), arc length at the start (m) and speed (m/s).
         elapsed_s: Times since the reset, s, not negative, shape (n, m).
         lead_s: Duration of the speed-up and of the slow-down, s, positive.
         length: Length of the path, m; infinite for a closed path.
 
     Returns:
-        Arc lengths from the start of the path, m, shape (n, m); they are not limited to one lap of a closed path.
+        Arc lengths from the start of the path, m, shape (n, m); they are not limited to one lap of a closed
+        path.
     """
     out = np.empty(elapsed_s.shape)
     for i in range(elapsed_s.shape[0]):
@@ -284,7 +290,7 @@ def arc_lengths(plan: Any, elapsed_s: Any, lead_s: float, length: float) -> Any:
 
 @compiled
 def _goal_arc_length(t: float, plan: Any, lead_s: float, length: float) -> float:
-    """Return the arc length, m, of the goal of one episode with its plan at time t, s; else as `arc_lengths`."""
+    """Return the arc length, m, of an episode's goal with its plan at time t, s; else as `arc_lengths`."""
     return traveled(t, plan[SPEED], lead_s, length) * plan[DIRECTION] + plan[START]
 
 
@@ -292,7 +298,7 @@ def _goal_arc_length(t: float, plan: Any, lead_s: float, length: float) -> float
 def _write_goals(
     plan: Any, elapsed_s: Any, ahead_s: Any, lead_s: float, curve: Any, goals: Any, previews: Any
 ) -> None:
-    """Write goals (n, axes) at times elapsed_s (n,), and previews (n, m, axes) ahead_s (m,) later, by plans."""
+    """Write goals (n, axes) at elapsed_s (n,), and previews (n, m, axes) ahead_s (m,) later, by plans."""
     length = math.inf if curve.closed else curve.vertex_s[-1]
     for i in range(len(plan)):
         for j in range(len(ahead_s) + 1):
@@ -309,7 +315,7 @@ def _write_goals(
 def _write_contours(
     plan: Any, points: Any, elapsed_s: Any, lead_s: float, curve: Any, distances: Any
 ) -> None:
-    """Write distances (n,) of points (n, 2) to a curve near the goals at times elapsed_s (n,), by plans (n, 6)."""
+    """Write distances (n,) of points (n, 2) to a curve near goals at elapsed_s (n,), by plans (n, 6)."""
     length = math.inf if curve.closed else curve.vertex_s[-1]
     relative, s = np.empty((len(plan), 2)), np.empty(len(plan))
     for i in range(len(plan)):

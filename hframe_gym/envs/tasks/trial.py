@@ -20,8 +20,8 @@ def check_task(task: Task, workspace: Workspace) -> None:
     The methods are called for a few trial episodes with fixed random numbers.
 
     Raises:
-        InputError: If the task does not fit into the workspace, or a method returns another shape, a number that is not
-            finite, or a start or goal outside the workspace.
+        InputError: If the task does not fit into the workspace, or a method returns another shape, a number
+            that is not finite, or a start or goal outside the workspace.
     """
     task.check(workspace)
     axes, count, label = len(workspace), _EPISODES, f"task {task.name}"
@@ -55,7 +55,7 @@ def check_task(task: Task, workspace: Workspace) -> None:
 
 
 def _check_array(label: str, values: NDArray[Any], shape: tuple[int, ...]) -> None:
-    """Raise InputError unless an array has a shape and finite numbers; the label is the beginning of the message."""
+    """Raise InputError unless an array has a shape and is finite; the message begins with the label."""
     is_number = values.dtype.kind in "fiu"
     if values.shape != shape or not is_number or not np.all(np.isfinite(values)):
         problem = (

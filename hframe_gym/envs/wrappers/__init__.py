@@ -1,4 +1,4 @@
-"""Wrappers for single and vector environments: quantities of a step as reward, cost or observation; random forces."""
+"""Wrappers for single and vector environments: quantities of a step as reward, cost, observation; forces."""
 
 from .disturbance_wrappers import DisturbanceWrapper, VectorDisturbanceWrapper, machine_for_disturbances
 from .disturbances import DISTURBANCES, Disturbance

@@ -1,4 +1,4 @@
-"""Wrappers for random forces on the tool of a single (`HFrameEnv`) or vector environment (`HFrameVectorEnv`)."""
+"""Wrappers for random forces on the tool, of a single (`HFrameEnv`) or vector one (`HFrameVectorEnv`)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _STREAM = 7_919
 
 
 def machine_for_disturbances(machine: Machine) -> Machine:
-    """Return a copy of a machine with `constant_force` of 0 N at every tool axis, which disturbances change."""
+    """Return a copy of a machine with `constant_force` of 0 N at every tool axis, for disturbances."""
     present = {effect.label for effect in machine.effects}
     added = [
         EFFECTS["constant_force"].at(axis, size=0.0)
@@ -76,8 +76,8 @@ class _Forces:
 class DisturbanceWrapper(gym.Wrapper):
     """Let a random force act on the tool, constant in each control period.
 
-    `info["disturbance_N"]` has the force of the step, N, shape (axes,). A seed at `reset` also determines the forces.
-    The state of `get_state` does not contain them.
+    `info["disturbance_N"]` has the force of the step, N, shape (axes,). A seed at `reset` also determines the
+    forces. The state of `get_state` does not contain them.
 
     Args:
         process: Name in `DISTURBANCES`.
@@ -126,8 +126,8 @@ class VectorDisturbanceWrapper(VectorWrapper):
         """Begin episodes, as the environments do, and draw their first forces.
 
         Args:
-            **keywords: `seed`, which also determines the forces, and `options` of `HFrameVectorEnv.reset`; only the
-                environments that its `reset_mask` chooses get new forces.
+            **keywords: `seed`, which also determines the forces, and `options` of `HFrameVectorEnv.reset`;
+                only the environments that its `reset_mask` chooses get new forces.
         """
         self._forces.seed(keywords.get("seed"))
         result = self.env.reset(**keywords)

@@ -1,7 +1,7 @@
 """Random forces on the tool while an episode runs, by name: white noise, a correlated process, and pulses.
 
-A process is registered with `@DISTURBANCES.register("name")` and gives the forces of a batch of environments, one
-control period after the other. `DisturbanceWrapper` lets them act on the simulated machine.
+A process is registered with `@DISTURBANCES.register("name")` and gives the forces of a batch of environments,
+one control period after the other. `DisturbanceWrapper` lets them act on the simulated machine.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Disturbance(Protocol):
         """
 
     def follow(self, forces: Array, period: float, generator: np.random.Generator) -> Array:
-        """Return the `forces` of the next `period`, s, from those of this one, N, shape (environments, axes)."""
+        """Return `forces` of the next `period`, s, from those of this one, N, shape (environments, axes)."""
 
 
 DISTURBANCES: Registry[type[Disturbance]] = Registry("disturbance")

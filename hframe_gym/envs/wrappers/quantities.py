@@ -1,7 +1,8 @@
 """Quantities of a step: what rewards, costs and observations can use besides the positions of tool and goal.
 
-A quantity is a function of `StepRecord`, registered by name; the wrappers in `wrappers` subtract quantities from the
-reward, compare them with limits, or observe them. Environments without these wrappers compute none of them.
+A quantity is a function of `StepRecord`, registered by name; the wrappers in `wrappers` subtract quantities
+from the reward, compare them with limits, or observe them. Environments without these wrappers compute none
+of them.
 """
 
 from __future__ import annotations
@@ -138,7 +139,7 @@ def _velocity(step: StepRecord) -> Array:
 
 @quantity("energy", "J", 2.0)
 def _energy(step: StepRecord) -> Array:
-    """Return the electrical energy that the drives take from the supply in the step, J; negative if they brake."""
+    """Return the electrical energy that the drives take from the supply a step, J; negative if they brake."""
     return (step.voltages * step.currents).sum(1) * step.period
 
 

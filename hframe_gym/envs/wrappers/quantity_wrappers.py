@@ -41,7 +41,7 @@ class _Recorder:
         self._last[mask] = 0.0
 
     def values(self, actions: Any) -> dict[str, Array]:
-        """Return the quantities of the step that these actions, (count, drives), caused, shape (count,) each."""
+        """Return quantities of the step that these actions, (count, drives), caused, shape (count,) each."""
         limited = np.clip(np.asarray(actions, dtype=np.float64).reshape(self._last.shape), -1.0, 1.0)
         record = StepRecord(self.batch, limited, self._last.copy())
         self._last = limited
@@ -61,7 +61,7 @@ def _finite(numbers: Mapping[str, float], meaning: str) -> dict[str, float]:
 
 
 class _Use(ABC):
-    """What a wrapper does with the quantities of a step: a number each, or an array of shape (count,) each."""
+    """What a wrapper does with a step's quantities: a number each, or an array of shape (count,) each."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self.names = names
@@ -206,7 +206,8 @@ class _VectorRecording(VectorWrapper):
 class PenaltyWrapper(_Recording):
     """Subtract weighted quantities of the step from the reward.
 
-    `info` has each quantity as `quantity_NAME`. `compute_reward` does not know them: do not relabel goals with it.
+    `info` has each quantity as `quantity_NAME`. `compute_reward` does not know them: do not relabel goals
+    with it.
 
     Args:
         env: Environment of this package.
@@ -234,9 +235,10 @@ class VectorPenaltyWrapper(_VectorRecording):
 class CostWrapper(_Recording):
     """Report costs beside the reward, as constrained reinforcement learning needs them.
 
-    The cost of a step is the number of quantities that exceed their limits, in `info["cost"]`; `info["cost_NAME"]` has
-    each of them, 0 or 1, and `info["quantity_NAME"]` the quantity. With `six_values=True`, `step` returns
-    (observation, reward, cost, terminated, truncated, info), as Safety-Gymnasium's environments do.
+    The cost of a step is the number of quantities that exceed their limits, in `info["cost"]`;
+    `info["cost_NAME"]` has each of them, 0 or 1, and `info["quantity_NAME"]` the quantity. With
+    `six_values=True`, `step` returns (observation, reward, cost, terminated, truncated, info), as
+    Safety-Gymnasium's environments do.
 
     Args:
         env: Environment of this package.
@@ -269,10 +271,10 @@ class VectorCostWrapper(_VectorRecording):
 
 
 class ObserveQuantities(_Recording):
-    """Add quantities of the last step to the observation: the key `quantities`, or further entries of a flat array.
+    """Add quantities of the last step to the observation: the key `quantities`, or entries of a flat array.
 
-    Each is divided by its typical largest value and limited to [-10, 10]. At the beginning of an episode they are those
-    of the start with actions of zero.
+    Each is divided by its typical largest value and limited to [-10, 10]. At the beginning of an episode they
+    are those of the start with actions of zero.
 
     Raises:
         InputError: If a name is unknown or the environment is of another package.

@@ -34,7 +34,8 @@ class Entry(NamedTuple):
         observes: "state", "measurements", or "Kalman estimates" (`StateEstimator` of the package).
         training_steps: Environment steps of its training; None if unknown or without training.
         training_cpu_s: Processor time of its training, s; None if unknown or without training.
-        control_us: Processor time of `act` per control period of one machine, us; None if it was not measured.
+        control_us: Processor time of `act` per control period of one machine, us; None if it was not
+            measured.
     """
 
     name: str
@@ -52,15 +53,17 @@ def run_protocol(name: str, protocol: Protocol) -> tuple[Entry, dict[str, Draws]
     """Run a controller or an agent through all parts of a protocol.
 
     Args:
-        name: Name of a registered controller, `module:name` of one, a shipped agent or an agent's folder, a model.zip,
-            or a folder with one agent per task: the folders `reach` and `track`, or `reach.zip` and `track.zip`.
+        name: Name of a registered controller, `module:name` of one, a shipped agent or an agent's folder, a
+            model.zip, or a folder with one agent per task: the folders `reach` and `track`, or `reach.zip`
+            and `track.zip`.
 
     Returns:
-        The controller or agent, and the values of all draws (episodes) by part and metric, in the unit of the metric.
+        The controller or agent, and the values of all draws (episodes) by part and metric, in the unit of the
+        metric.
 
     Raises:
-        InputError: If the name is unknown, the entry cannot run on the tasks, the simulated motion diverges, or the
-            installed packages give other draws (episodes) than the protocol declares.
+        InputError: If the name is unknown, the entry cannot run on the tasks, the simulated motion diverges,
+            or the installed packages give other draws (episodes) than the protocol declares.
     """
     protocol.check()
     load_plugins()
@@ -98,13 +101,14 @@ def _combined(entries: Sequence[Entry]) -> Entry:
 
 
 def make_entry(name: str, protocol: Protocol, part: str) -> tuple[Entry, Controller]:
-    """Create the controller or agent of a given name for a part (task) of a protocol; it controls all draws at once.
+    """Create a controller or agent by name for a part (task) of a protocol; it controls all draws at once.
 
-    Controllers are designed from the declared machine. If the protocol observes sensors, a controller that needs the
-    full state, or an agent that was trained with it, receives the estimates of a `StateEstimator`.
+    Controllers are designed from the declared machine. If the protocol observes sensors, a controller that
+    needs the full state, or an agent that was trained with it, receives the estimates of a `StateEstimator`.
 
     Args:
-        name: Controller such as "pid", agent or its folder, model.zip, or folder with one of them for each task.
+        name: Controller such as "pid", agent or its folder, model.zip, or folder with one of them for each
+            task.
 
     Raises:
         InputError: If the name is unknown or the controller cannot run on the task.
@@ -137,13 +141,13 @@ def make_entry(name: str, protocol: Protocol, part: str) -> tuple[Entry, Control
 
 
 def agent_of_task(collection: Path, task: str) -> Path | None:
-    """Return the folder or the model.zip of the agent of a task in a folder of several agents; None if it has none."""
+    """Return the folder or the model.zip of a task's agent in a folder of several agents, or None."""
     folder, file = collection / task, collection / f"{task}.zip"
     return folder if folder.is_dir() else file if file.is_file() else None
 
 
 def _controller_entry(name: str, controller: Controller) -> Entry:
-    """Return the entry of a controller: modules of its package that it uses, its files and its weights identify it.
+    """Return the entry of a controller: modules of its package, its files and its weights identify it.
 
     A controller with weights is learned, whatever its class says.
     """
@@ -172,7 +176,7 @@ def _controller_entry(name: str, controller: Controller) -> Entry:
 
 
 def _weights(controller: Controller) -> list[bytes]:
-    """Return the weights of all networks that a controller, or its module, holds, as bytes in a fixed order."""
+    """Return the weights of all networks of a controller, or its module, as bytes in a fixed order."""
     torch = sys.modules.get("torch")
     if torch is None:  # nothing can hold a network of torch
         return []

@@ -1,17 +1,19 @@
-"""Protocols: benchmarks in which everything is fixed, so that scores of different people and years are comparable.
+"""Protocols: benchmarks with everything fixed, so that scores of different people and years are comparable.
 
-A protocol fixes the machine, randomization, sensors, drives, control period and metrics. Its *parts* are tasks that are
-scored separately. Its *draws* are the episodes: a start, a goal and sampled machine parameters each, the same for every
-*entry* (the controller or agent that is scored). A digest of all settings and draws is part of the definition
-(`Protocol.digest`). Before a run the digest is computed again: if the package has changed what it covers, no result is
-written, and the benchmark needs a new version (`reach-v2`), never a new digest.
+A protocol fixes the machine, randomization, sensors, drives, control period and metrics. Its *parts* are
+tasks that are scored separately. Its *draws* are the episodes: a start, a goal and sampled machine parameters
+each, the same for every *entry* (the controller or agent that is scored). A digest of all settings and draws
+is part of the definition (`Protocol.digest`). Before a run the digest is computed again: if the package has
+changed what it covers, no result is written, and the benchmark needs a new version (`reach-v2`), never a new
+digest.
 
     reach-v1    point-to-point moves, full state, ideal drives, randomization "default"
     track-v1    circle, square and Lissajous figure, otherwise as reach-v1
-    hard-v1     moves, circle and square with the sensors and drives of a rig, randomization "wide", and effects that no
-                controller's model declares (see `undeclared_effects`)
+    hard-v1     moves, circle and square with the sensors and drives of a rig, randomization "wide",
+                and effects that no controller's model declares (see `undeclared_effects`)
 
-`entries` runs controllers and agents through a protocol; `result_file` writes and reads the files with the scores.
+`entries` runs controllers and agents through a protocol; `result_file` writes and reads the files with the
+scores.
 """
 
 from __future__ import annotations
@@ -81,7 +83,7 @@ class Protocol:
 
     @cached_property
     def declared_machine(self) -> Machine:
-        """Machine that controllers know: nominal parameters, with the converters and current limits of the drives."""
+        """Machine that controllers know: nominal parameters, converters and current limits of drives."""
         machine = as_machine(self.machine)
         actuators = ACTUATOR_PRESETS[self.drives] if self.drives != "ideal" else None
         return actuators.apply(machine) if actuators else machine
@@ -107,9 +109,10 @@ class Protocol:
         )
 
     def declared_scenario(self, part: str) -> Scenario:
-        """Return the settings from which a controller is designed that will run in a part (task) of the benchmark.
+        """Return the settings from which a controller is designed for a part (task) of the benchmark.
 
-        They differ from the simulated ones: the machine lacks undeclared effects, and the full state is observed.
+        They differ from the simulated ones: the machine lacks undeclared effects, and the full state is
+        observed.
         """
         return dataclasses.replace(
             self.scenario(part),
@@ -180,7 +183,7 @@ PROTOCOLS: dict[str, Protocol] = {
 
 
 def get_protocol(name: str) -> Protocol:
-    """Return a benchmark protocol by its name with the version, such as "reach-v1"; an InputError if unknown."""
+    """Return a benchmark protocol by its name with the version, such as "reach-v1"; or an InputError."""
     if name == GAP:
         raise InputError(
             f"protocol {GAP} has plants of the independent simulator, which is not installed with "
@@ -197,9 +200,10 @@ def draw_values(episodes: Episodes) -> Draws:
     """Compute the metrics of every episode of one task of a protocol; its scores follow from them.
 
     Returns:
-        By name of the metric, a list of B values, rounded to 6 decimals. For moves to a point: `settling_s.1mm`,
-        `settling_s.0.2mm` and `settling_s.0.05mm`, time until the tool stays this close to the goal, s, None if it does
-        not; and `final_error_mm`, mm. For paths: `contour_rms_mm`, `contour_max_mm` and `tracking_rms_mm`, mm.
+        By name of the metric, a list of B values, rounded to 6 decimals. For moves to a point:
+        `settling_s.1mm`, `settling_s.0.2mm` and `settling_s.0.05mm`, time until the tool stays this close to
+        the goal, s, None if it does not; and `final_error_mm`, mm. For paths: `contour_rms_mm`,
+        `contour_max_mm` and `tracking_rms_mm`, mm.
     """
     if episodes.contour is None:
         values: Draws = {}

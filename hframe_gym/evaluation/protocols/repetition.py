@@ -13,8 +13,8 @@ from .scores import fill_unsettled
 
 # Differences of a run that is repeated elsewhere: two samples of 1 ms, and 1 um and 1 % of an error in mm.
 REPEATED_S, REPEATED_MM, REPEATED_FRACTION = 2.1e-3, 1e-3, 1e-2
-# Fraction of draws that may differ by more; standard deviations of a sum of differences with random signs; fraction of
-# a mean, for differences below the tolerances.
+# Fraction of draws that may differ by more; standard deviations of a sum of differences with random signs;
+# fraction of a mean, for differences below the tolerances.
 REPEATED_DRAWS, REPEATED_SIGMAS, REPEATED_MEAN = 0.12, 2.0, 0.002
 
 
@@ -37,12 +37,13 @@ class Comparison(NamedTuple):
 def compare_draws(result: ResultFile, draws: Mapping[str, Draws]) -> Comparison:
     """Compare the draws of a result file with those of a run that was repeated.
 
-    Sums are rounded differently on other processors. Friction, estimators and plans amplify this, and a draw that ends
-    near the edge of a band may be in it here and outside there. Repeated on another processor, `apg_plan` differed by
-    more than the tolerances in 2 of 512 draws of reach-v1, and `adaptive-pid` in 53 of 512 of hard-v1; such differences
-    go both ways, and means moved by 0.8 % at most. A file is therefore reproduced if the values of few draws differ by
-    more than the tolerances, and if the differences of a metric add up to no more than those of random signs do. Draws
-    that were edited improve, all of them: more than a handful are found.
+    Sums are rounded differently on other processors. Friction, estimators and plans amplify this, and a draw
+    that ends near the edge of a band may be in it here and outside there. Repeated on another processor,
+    `apg_plan` differed by more than the tolerances in 2 of 512 draws of reach-v1, and `adaptive-pid` in 53 of
+    512 of hard-v1; such differences go both ways, and means moved by 0.8 % at most. A file is therefore
+    reproduced if the values of few draws differ by more than the tolerances, and if the differences of a
+    metric add up to no more than those of random signs do. Draws that were edited improve, all of them: more
+    than a handful are found.
     """
     protocol = get_protocol(result.protocol)
     count = equal = 0

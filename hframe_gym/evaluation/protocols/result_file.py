@@ -1,14 +1,14 @@
 """Result files of protocols: write, read and validate them.
 
-A protocol is a fixed benchmark. Its parts are tasks that are scored separately; its draws are the episodes (start, goal
-and machine parameters) that all entries, that is, controllers or agents, face. A result file names the protocol and its
-digest, the entry with its hash, and the versions of the packages. It holds the values of every draw, and the scores
-that follow from them.
+A protocol is a fixed benchmark. Its parts are tasks that are scored separately; its draws are the episodes
+(start, goal and machine parameters) that all entries, that is, controllers or agents, face. A result file
+names the protocol and its digest, the entry with its hash, and the versions of the packages. It holds the
+values of every draw, and the scores that follow from them.
 
-Reading a file checks the schema, the digest, the checksum and the number of draws. No draw may be faster than its
-stored time-optimal bound, or have values that no motion has. The scores are computed again. A file that was edited, or
-that belongs to another machine or other draws, is refused. Only running the entry again (`compare_draws`) shows that
-the values are true.
+Reading a file checks the schema, the digest, the checksum and the number of draws. No draw may be faster than
+its stored time-optimal bound, or have values that no motion has. The scores are computed again. A file that
+was edited, or that belongs to another machine or other draws, is refused. Only running the entry again
+(`compare_draws`) shows that the values are true.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _Cost = Annotated[float, Field(ge=0.0)] | None
 
 
 class EntryTable(_Strict):
-    """What was scored: name, kind, hash, what it observes and knows, what it costs; `Entry` documents the fields."""
+    """What was scored: name, kind, hash, what it observes and knows, what it costs; see `Entry`."""
 
     name: Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[^|<>`\n]+$")]
     kind: Literal["controller", "agent"]
@@ -91,12 +91,12 @@ class ResultFile(_Strict):
 
 
 def result_content(protocol: Protocol, entry: Entry, draws: Mapping[str, Draws]) -> dict[str, Any]:
-    """Build the content of a result file, a `ResultFile` without `about`: the scores of an entry in a protocol.
+    """Build the content of a result file, a `ResultFile` without `about`: an entry's scores in a protocol.
 
     Args:
         entry: The controller or agent that was scored.
-        draws: Values of all episodes of the protocol ("draws"): by part (task) and by metric, such as `final_error_mm`,
-            a list with one value per episode, mm or s.
+        draws: Values of all episodes of the protocol ("draws"): by part (task) and by metric, such as
+            `final_error_mm`, a list with one value per episode, mm or s.
     """
     content = {
         "schema": SCHEMA,
@@ -114,8 +114,8 @@ def result_content(protocol: Protocol, entry: Entry, draws: Mapping[str, Draws])
 def checksum(content: Mapping[str, Any]) -> str:
     """Compute the SHA-256 by which a result file shows that it was not edited after the run.
 
-    It covers the protocol with its digest, the entry, the versions and the draws. It protects against mistakes. Someone
-    who edits the draws can compute it again as well; running the entry again shows that.
+    It covers the protocol with its digest, the entry, the versions and the draws. It protects against
+    mistakes. Someone who edits the draws can compute it again as well; running the entry again shows that.
     """
     covered = {key: content[key] for key in ("protocol", "digest", "entry", "versions", "draws")}
     return hashlib.sha256(json.dumps(covered, sort_keys=True).encode()).hexdigest()
@@ -154,12 +154,12 @@ def write_result(folder: str | Path, content: Mapping[str, Any]) -> Path:
 
 
 def read_result(path: str | Path) -> ResultFile:
-    """Read a result file (scores of a controller or agent in a protocol) and check that its scores are consistent.
+    """Read a result file (scores of a controller or agent in a protocol) and check its consistency.
 
     Raises:
-        InputError: If the file is not a result file, names an unknown protocol, or lacks the digest (hash), parts
-            (tasks), metrics or number of draws (episodes) of this protocol. Also if it was edited (checksum), or its
-            scores do not follow from its values of the draws.
+        InputError: If the file is not a result file, names an unknown protocol, or lacks the digest (hash),
+            parts (tasks), metrics or number of draws (episodes) of this protocol. Also if it was edited
+            (checksum), or its scores do not follow from its values of the draws.
         OSError: If the file cannot be read.
     """
     try:
@@ -230,8 +230,8 @@ def _check_paths(where: str, values: Draws, protocol: Protocol) -> None:
 def _check_moves(where: str, values: Draws, protocol: Protocol) -> None:
     """Raise InputError if the settling times of a draw cannot be those of its move to a point.
 
-    They are samples of the episode, agree with the error at its end, are no shorter for a narrower band than for a
-    wider one, and no shorter than any controller permits.
+    They are samples of the episode, agree with the error at its end, are no shorter for a narrower band than
+    for a wider one, and no shorter than any controller permits.
     """
     sample_s = protocol.period / SAMPLES_PER_PERIOD
     error = np.array(values["final_error_mm"], np.float64)

@@ -1,4 +1,4 @@
-"""Scores of a protocol's parts: they follow from the values of the draws, and are compared with the bounds."""
+"""Scores of a protocol's parts: they follow from the draws' values, and are compared with the bounds."""
 
 from __future__ import annotations
 
@@ -23,12 +23,13 @@ def part_scores(values: Draws, duration_s: float) -> dict[str, Any]:
     """Compute the scores of one part of a protocol (a task) from the metrics of its single draws (episodes).
 
     Args:
-        values: Values of the B draws by metric, e.g. `final_error_mm`, mm, or `settling_s.1mm`, s, None if not settled.
+        values: Values of the B draws by metric, e.g. `final_error_mm`, mm, or `settling_s.1mm`, s, None if
+            not settled.
         duration_s: Length of an episode, s, which counts as the settling time of a draw that does not settle.
 
     Returns:
-        By metric `mean`, `ci95` (95 % interval of the mean, bootstrap over the draws) and `median`, in the unit of the
-        metric; for a settling time also `success`, the fraction of draws that settle, 0 to 1.
+        By metric `mean`, `ci95` (95 % interval of the mean, bootstrap over the draws) and `median`, in the
+        unit of the metric; for a settling time also `success`, the fraction of draws that settle, 0 to 1.
     """
     scores: dict[str, Any] = {}
     for metric, column in values.items():
@@ -43,10 +44,11 @@ def part_scores(values: Draws, duration_s: float) -> dict[str, Any]:
 
 
 def fill_unsettled(column: list[float | None], duration_s: float) -> Array:
-    """Return a metric's values as an array, shape (B,), with the length of an episode for draws that do not settle.
+    """Return a metric's values as an array, shape (B,), an episode's length for draws that do not settle.
 
     Args:
-        column: B settling times, s, None for a draw that does not settle; values of another metric are not changed.
+        column: B settling times, s, None for a draw that does not settle; values of another metric are not
+            changed.
         duration_s: Length of an episode, s.
     """
     return np.array([duration_s if value is None else value for value in column], np.float64)
@@ -59,8 +61,9 @@ def protocol_bounds(name: str) -> dict[str, Array]:
     They are times to settle within 0.2 mm; `benchmarks.protocol_bounds` computes them.
 
     Returns:
-        Times of two kinds, s, shape (draws,), NaN where unknown: `free`, for voltages that may change at any time, and
-        `held`, for voltages that are constant over each control period. Empty for a protocol without such moves.
+        Times of two kinds, s, shape (draws,), NaN where unknown: `free`, for voltages that may change at any
+        time, and `held`, for voltages that are constant over each control period. Empty for a protocol
+        without such moves.
 
     Raises:
         InputError: If there is no such protocol.
@@ -87,18 +90,18 @@ def protocol_bounds(name: str) -> dict[str, Array]:
 
 
 def paired_ratio(values: Array, others: Array) -> dict[str, Any] | None:
-    """Compute the ratio of the means of two quantities over the same draws (episodes), for example time / bound.
+    """Compute the ratio of means of two quantities over the same draws (episodes), for example time / bound.
 
     Args:
-        values: Values of the numerator in B draws, all known, shape (B,); for S agents that differ in the seed of their
-            training, shape (S, B).
-        others: Values of the denominator in the same draws, for example shortest possible times, in the same unit,
-            shape (B,), NaN where unknown.
+        values: Values of the numerator in B draws, all known, shape (B,); for S agents that differ in the
+            seed of their training, shape (S, B).
+        others: Values of the denominator in the same draws, for example shortest possible times, in the same
+            unit, shape (B,), NaN where unknown.
 
     Returns:
-        `mean`: mean of `values` divided by mean of `others`, over the draws in which `others` is known; `ci95`: [lower,
-        upper limit] of its 95 % confidence interval, by a bootstrap over draws and agents; `draws`: number of draws in
-        which `others` is known. None if it is known in none.
+        `mean`: mean of `values` divided by mean of `others`, over the draws in which `others` is known;
+        `ci95`: [lower, upper limit] of its 95 % confidence interval, by a bootstrap over draws and agents;
+        `draws`: number of draws in which `others` is known. None if it is known in none.
     """
     both = np.isfinite(others)
     if not both.any():

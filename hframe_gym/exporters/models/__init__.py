@@ -1,1 +1,1 @@
-"""Models of a machine that several exporters write: linear models and modes, input shapers, bodies of MuJoCo."""
+"""Models of a machine for several exporters: linear models and modes, input shapers, bodies of MuJoCo."""

@@ -1,8 +1,9 @@
-"""Input shapers for the first mode of each axis: impulses that leave no vibration, as the firmware of printers uses.
+"""Input shapers for the first mode of each axis: impulses that leave no vibration, as in printer firmware.
 
-A step of the commanded position excites a mode of the carriage against the motors, which the firmware holds at their
-commanded positions. If each move is convolved with a few impulses, the vibrations that they excite cancel. With natural
-frequency f, damping ratio d, T = 1 / (f sqrt(1 - d^2)) and K = exp(-d pi / sqrt(1 - d^2)):
+A step of the commanded position excites a mode of the carriage against the motors, which the firmware holds
+at their commanded positions. If each move is convolved with a few impulses, the vibrations that they excite
+cancel. With natural frequency f, damping ratio d, T = 1 / (f sqrt(1 - d^2)) and K = exp(-d pi / sqrt(1 -
+d^2)):
 
     zv    1, K                                                  at 0, T/2
     mzv   1 - 1/sqrt(2), (sqrt(2) - 1) k, (1 - 1/sqrt(2)) k^2   at 0, 3T/8, 3T/4,  k = K^(3/4)
@@ -12,9 +13,8 @@ each divided by its sum. `ei` tolerates the largest error of f, `zv` is the shor
 
 References:
     Singer and Seering (1990), Preshaping command inputs to reduce system vibration (zv).
-    Singhose, Seering and Singer (1994), Residual vibration reduction using vector diagrams to generate shaped inputs
-    (ei).
-    Klipper, documentation of resonance compensation (mzv).
+    Singhose, Seering and Singer (1994), Residual vibration reduction using vector diagrams to generate shaped
+    inputs (ei). Klipper, documentation of resonance compensation (mzv).
 """
 
 from __future__ import annotations

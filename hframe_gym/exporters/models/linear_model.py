@@ -1,9 +1,10 @@
-"""Linear state-space model of a machine at rest, with its effects as far as they are linear there, and its modes.
+"""Linear state-space model of a machine at rest, with its effects if linear there, and its modes.
 
-The model is that of the machine without effects (`dynamics.linearize`, exact to rounding) plus what the effects add,
-such as the stiffness of a frame or the damping of belts. That part is the difference between the accelerations with and
-without effects; it is differentiated by central differences. Dry friction has no derivative at rest: it is set to zero,
-and the effects that change it are left out and listed (`LinearModel.left_out`).
+The model is that of the machine without effects (`dynamics.linearize`, exact to rounding) plus what the
+effects add, such as the stiffness of a frame or the damping of belts. That part is the difference between the
+accelerations with and without effects; it is differentiated by central differences. Dry friction has no
+derivative at rest: it is set to zero, and the effects that change it are left out and listed
+(`LinearModel.left_out`).
 """
 
 from __future__ import annotations
@@ -20,26 +21,28 @@ from ...dynamics.physics.linearization import evaluate_beside_rest
 from ...machine import AppliedEffect, Machine
 
 Complex = NDArray[np.complex128]
-# Steps of the central differences: belt travel in m, its rate in m/s, voltage in V. Over them, forces deviate from a
-# straight line by 1e-9, which is also the size of the rounding errors.
+# Steps of the central differences: belt travel in m, its rate in m/s, voltage in V. Over them, forces deviate
+# from a straight line by 1e-9, which is also the size of the rounding errors.
 _STEPS = (1e-6, 1e-5, 1e-4)
 _RIGID = 1e-6  # rad/s; smaller eigenvalues count as zero: motions without a restoring force
 _NEGLIGIBLE = 1e-9  # relative displacements below are rounding errors
-# Functions of an effect (hooks of `machine.Effect`) that change the matrices, and others that do not: delays stand
-# beside the matrices, and the state in which a recording begins is no part of the model.
+# Functions of an effect (hooks of `machine.Effect`) that change the matrices, and others that do not: delays
+# stand beside the matrices, and the state in which a recording begins is no part of the model.
 _LINEAR_HOOKS = ("force", "active_region", "viscous", "tension", "energy_slope", "voltage", "measurement")
 _IGNORED_HOOKS = ("delay", "measurement_delay", "clock", "initial_spread")
 
 
 class LinearModel(NamedTuple):
-    """State-space model x' = A x + B u + b, y = C x + D u; x, u and y are deviations from rest at an operating point.
+    """State-space model x' = A x + B u + b, y = C x + D u; x, u and y are deviations from an operating point.
 
     Attributes:
         A: System matrix, shape (states, states): positions of all coordinates (m, rad), then velocities.
         B: Input matrix, shape (states, drives), per V.
         C: Output matrix, shape (sensors, states).
-        D: Feedthrough matrix, zero unless a sensor measures a current or an acceleration, shape (sensors, drives).
-        bias: The constant b: accelerations that constant forces of effects cause, m/s^2 or rad/s^2, shape (states,).
+        D: Feedthrough matrix, zero unless a sensor measures a current or an acceleration,
+            shape (sensors, drives).
+        bias: The constant b: accelerations that constant forces of effects cause, m/s^2 or rad/s^2,
+            shape (states,).
         inputs: Names of the input channels, in V.
         input_delays: Delay of each drive, s, shape (drives,); it is not part of the matrices.
         output_delays: Delay of each sensor, s, shape (sensors,); it is not part of the matrices.
@@ -67,9 +70,10 @@ class Mode(NamedTuple):
     Attributes:
         eigenvalue: Eigenvalue with imaginary part >= 0, rad/s.
         frequency: Natural frequency |eigenvalue| / (2 pi), Hz.
-        damping: Damping ratio, dimensionless; 1 or -1 for a real eigenvalue, 0 for a motion without restoring force.
-        shape: Complex amplitude of each coordinate relative to the largest one, all as belt travel (for a pulley its
-            radius times its angle), shape (coordinates,).
+        damping: Damping ratio, dimensionless; 1 or -1 for a real eigenvalue, 0 for a motion without restoring
+            force.
+        shape: Complex amplitude of each coordinate relative to the largest one, all as belt travel (for a
+            pulley its radius times its angle), shape (coordinates,).
     """
 
     eigenvalue: complex
@@ -136,9 +140,9 @@ def modes(A: Array, travel_per_unit: Array, rigid: Array | None = None) -> list[
     Args:
         A: System matrix, SI, shape (2 n, 2 n).
         travel_per_unit: Belt travel per unit of each position, m/m or m/rad, shape (n,).
-        rigid: Known motions without a restoring force, one column each with the positions of all coordinates, m or rad,
-            shape (n, motions). They replace the eigenvectors of the eigenvalue zero, which are not unique. Default: the
-            eigenvectors are used.
+        rigid: Known motions without a restoring force, one column each with the positions of all coordinates,
+            m or rad, shape (n, motions). They replace the eigenvectors of the eigenvalue zero, which are not
+            unique. Default: the eigenvectors are used.
 
     Returns:
         Modes by ascending frequency; of a pair of complex eigenvalues only one.
@@ -162,7 +166,7 @@ def modes(A: Array, travel_per_unit: Array, rigid: Array | None = None) -> list[
 
 
 def axis_modes(machine: Machine, position: Array) -> dict[str, Mode]:
-    """Return the slowest oscillation of each tool axis while the motors stand still, as stiff control holds them.
+    """Return each tool axis's slowest oscillation while motors stand still, as stiff control holds them.
 
     An oscillation belongs to the axis that moves most in it.
 
@@ -170,7 +174,8 @@ def axis_modes(machine: Machine, position: Array) -> dict[str, Mode]:
         position: Operating point as of `linear_model`, m or rad, shape (coordinates,).
 
     Returns:
-        Mode by axis; `shape` has the coordinates without a motor only. An axis in which nothing oscillates is missing.
+        Mode by axis; `shape` has the coordinates without a motor only. An axis in which nothing oscillates is
+        missing.
     """
     model, n = linear_model(machine, position), len(machine.coordinates)
     driven = {drive.coordinate for drive in machine.drives}
@@ -198,7 +203,7 @@ def _without_dry_friction(machine: Machine, effects: tuple[AppliedEffect, ...]) 
 
 
 def _linear(effect: AppliedEffect) -> bool:
-    """Return whether an effect is linear at rest: it has no memory, no threshold and no part in dry friction."""
+    """Return whether an effect is linear at rest: it has no memory, threshold or part in dry friction."""
     definition = effect.definition
     if definition.impacts or any(p.role == "switch" for p in definition.parameters):
         return False

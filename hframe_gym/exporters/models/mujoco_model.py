@@ -1,9 +1,9 @@
-"""A stage as a model of MuJoCo: joints with diagonal inertia, tendons as belts, motors with the gear's force per volt.
+"""A stage as a MuJoCo model: joints with diagonal inertia, tendons as belts, motors with force per volt.
 
-The lighter axis rides on the heavier one. Each pulley is a body of its coordinate's inertia, and each belt a fixed
-tendon (a linear combination of joints) of constant stiffness, that at the operating point. Coulomb friction is
-`frictionloss`, a soft constraint in MuJoCo; joint damping includes the back-EMF of the motors, so that controls are
-voltages.
+The lighter axis rides on the heavier one. Each pulley is a body of its coordinate's inertia, and each belt a
+fixed tendon (a linear combination of joints) of constant stiffness, that at the operating point. Coulomb
+friction is `frictionloss`, a soft constraint in MuJoCo; joint damping includes the back-EMF of the motors, so
+that controls are voltages.
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ from ...errors import InputError
 from ...machine import Coordinate, Machine
 from ..base import axis_range, refuse_drive_laws, require_linear_axes
 
-# MuJoCo's friction is a soft constraint: it brings a velocity to zero within the time constant of `solreffriction` (20
-# ms by default) and creeps according to the impedance of `solimpfriction`. `default` uses these defaults. `stiff` is as
-# close to dry friction as MuJoCo allows: the smallest permitted time constant, two steps, and an impedance near one.
+# MuJoCo's friction is a soft constraint: it brings a velocity to zero within the time constant of
+# `solreffriction` (20 ms by default) and creeps according to the impedance of `solimpfriction`. `default`
+# uses these defaults. `stiff` is as close to dry friction as MuJoCo allows: the smallest permitted time
+# constant, two steps, and an impedance near one.
 FRICTION = {"default": "", "stiff": 'solreffriction="{twice} 1" solimpfriction="0.9999 0.9999 0.001 0.5 2"'}
 _PULLEY_MASS = 0.1  # kg; only the inertia of a pulley acts, because it does not travel
 # Fraction of the heavier axis' mass that a carriage on it may weigh; the rest of its mass is armature.
@@ -56,13 +57,14 @@ def model_xml(
     Args:
         machine: Machine with one or two tool axes and any pulleys; its effects are ignored.
         step: Integration step, s.
-        position: Position of every coordinate at which the belts have their stiffness, m or rad, shape (coordinates,).
-            None: all zero.
-        drawn: Whether the model has names, geometries, ranges of the joints and sensors; without them it is as fast as
-            possible.
+        position: Position of every coordinate at which the belts have their stiffness, m or rad,
+            shape (coordinates,). None: all zero.
+        drawn: Whether the model has names, geometries, ranges of the joints and sensors; without them it is
+            as fast as possible.
 
     Raises:
-        InputError: If the machine has other coordinates than tool axes and pulleys, or drives that follow a set point.
+        InputError: If the machine has other coordinates than tool axes and pulleys, or drives that follow a
+            set point.
     """
     refuse_drive_laws(machine, "a model of bodies")
     axes = tool_coordinates(machine)
@@ -70,7 +72,7 @@ def model_xml(
     joint = partial(_joint, machine, soft=FRICTION[settings.friction].format(twice=2 * step), drawn=drawn)
     bodies = _tool_bodies(axes, shapes, joint, drawn=drawn)
     bodies += _pulley_bodies(machine, shapes, joint, drawn=drawn)
-    sensors = _sensors(machine) if drawn else ""
+    sensors = f"\n  <sensor>{elements}</sensor>" if drawn and (elements := _sensors(machine)) else ""
     off = 'contact="disable" gravity="disable" limit="disable"' + ("" if drawn else ' sensor="disable"')
     option = (
         f'timestep="{step!r}" integrator="{settings.integrator}" solver="{settings.solver}" gravity="0 0 0"'
@@ -80,7 +82,7 @@ def model_xml(
   <option><flag {off}/></option>
   <worldbody>{bodies}</worldbody>
   <tendon>{_tendons(machine, position)}</tendon>
-  <actuator>{_motors(machine, drawn=drawn)}</actuator>{f"{chr(10)}  <sensor>{sensors}</sensor>" if sensors else ""}
+  <actuator>{_motors(machine, drawn=drawn)}</actuator>{sensors}
 </mujoco>"""
 
 
@@ -103,7 +105,7 @@ def _inertia(mass: float, moment: float) -> str:
 def _tool_bodies(
     axes: list[Coordinate], shapes: Mapping[str, str], joint: Callable[..., str], *, drawn: bool
 ) -> str:
-    """Return the body of the axis that carries the other, which is nested in it, as MuJoCo orders joints by bodies."""
+    """Return the body of the axis that carries the other, nested in it, as MuJoCo orders joints by bodies."""
     directions = {c.name: direction for c, direction in zip(axes, ("1 0 0", "0 1 0"), strict=False)}
     carrier, riders, carried = carrier_and_riders(axes)
     inner = ""
@@ -164,7 +166,7 @@ def _sensors(machine: Machine) -> str:
 
 
 def tool_coordinates(machine: Machine) -> list[Coordinate]:
-    """Return the coordinates of the tool axes; an InputError unless the machine consists of a tool and pulleys."""
+    """Return the coordinates of the tool axes; an InputError unless the machine is a tool and pulleys."""
     require_linear_axes(machine, "a model of bodies")
     axes = [machine.coordinate(name) for name in machine.tool_axes]
     others = [c.name for c in machine.coordinates if c.kind == "linear" and c.name not in machine.tool_axes]
@@ -184,7 +186,8 @@ def carrier_and_riders(axes: list[Coordinate]) -> tuple[Coordinate, list[Coordin
     Returns:
         carrier: The heavier axis.
         riders: The other axis, or none.
-        carried: Mass of the body on the carrier, kg: the lighter mass, but at most half of the heavier one, so that a
+        carried: Mass of the body on the carrier, kg: the lighter mass, but at most half of the heavier one,
+        so that a
             carrier of the same mass is left with a mass.
     """
     carrier, *riders = sorted(axes, key=lambda c: -c.mass)
@@ -192,7 +195,7 @@ def carrier_and_riders(axes: list[Coordinate]) -> tuple[Coordinate, list[Coordin
 
 
 def belt_stiffness(machine: Machine, position: Array | None) -> list[float]:
-    """Compute the stiffness of belts, N/m, without effects, at `position`, m or rad, shape (coordinates,), or 0."""
+    """Compute belt stiffness, N/m, without effects, at `position`, m or rad, shape (coordinates,), or 0."""
     if position is None:
         return [b.EA / b.rest_length for b in machine.belts]
     nominal = machine.replace(effects=())
@@ -210,7 +213,7 @@ def _place(i: int, drawn: bool) -> str:
 
 
 def _shapes(machine: Machine, axes: list[Coordinate]) -> dict[str, str]:
-    """Return the geometries of bodies without mass: a beam for a carrier, a box for the tool, disks for pulleys."""
+    """Return geometries of bodies without mass: beams for carriers, a box for the tool, disks for pulleys."""
     heavier, lighter = max(axes, key=lambda c: c.mass), min(axes, key=lambda c: c.mass)
     half = 0.5 * float(np.ptp(axis_range(lighter))) + 0.05
     across = f"0.02 {half:g} 0.015" if heavier is axes[0] else f"{half:g} 0.02 0.015"

@@ -66,7 +66,7 @@ def declaration(formula: Formula, prefix: str) -> str:
 
 
 def definition(formula: Formula, language: C99) -> tuple[str, frozenset[str]]:
-    """Define a formula as a function; return its text, and the texts of the parameters and inputs that it uses."""
+    """Define a formula as a function; return its text, and those of the parameters and inputs it uses."""
     body = write_body(formula, language)
     unused = [s.name for s in formula.inputs if not body.used & set(s.elements()) and s not in formula.states]
     lines = [*(f"(void){name};" for name in unused), *body.lines]

@@ -1,7 +1,8 @@
-"""Formulas that are traced from the equations of motion, and the names of their signals and parameters in source text.
+"""Formulas traced from the equations of motion, and their signals' and parameters' names in source text.
 
-The equations are evaluated once with traced expressions (`dynamics.symbolic.tracing`), as for the simulation kernel. So
-there is one source of the equations. Names are made of fixed words, sanitized names of parameters, and numbers.
+The equations are evaluated once with traced expressions (`dynamics.symbolic.tracing`), as for the simulation
+kernel. So there is one source of the equations. Names are made of fixed words, sanitized names of parameters,
+and numbers.
 """
 
 from __future__ import annotations
@@ -95,8 +96,8 @@ def trace_formula(
     """Trace a function of the equations of motion as a formula.
 
     Args:
-        function: Function (values, *arguments) of the parameter values by full name and of one value (or list of
-            values) per input, which returns all entries of the outputs.
+        function: Function (values, *arguments) of the parameter values by full name and of one value (or list
+            of values) per input, which returns all entries of the outputs.
     """
     trace = FormulaTrace(name)
     values = {full: trace.argument(p.identifier) for full, p in parameters.items()}

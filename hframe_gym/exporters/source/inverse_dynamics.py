@@ -1,13 +1,13 @@
-"""Inverse dynamics: the voltages that a motion of the tool needs, from the equations of motion of the machine.
+"""Inverse dynamics: the voltages that a motion of the tool needs, from the machine's equations of motion.
 
-On a rigid motion p(t) of the tool the belts keep their length, and every coordinate has the travel rigid * p. The
-forces along the axes are then
+On a rigid motion p(t) of the tool the belts keep their length, and every coordinate has the travel rigid * p.
+The forces along the axes are then
 
     F = rigid' (m a - f_effects + b v + Fc sign(v)),          V = (force per volt)^-1 F,
 
-with the mass m, the viscous coefficient b (back-EMF included) and the Coulomb friction Fc of every coordinate. The
-command inverts the characteristic of the amplifier (gain, offset, dead band). Belts stretch to transmit the forces;
-`motor_reference` gives the motor positions at which they do.
+with the mass m, the viscous coefficient b (back-EMF included) and the Coulomb friction Fc of every
+coordinate. The command inverts the characteristic of the amplifier (gain, offset, dead band). Belts stretch
+to transmit the forces; `motor_reference` gives the motor positions at which they do.
 
 All functions work on floats, arrays and traced expressions.
 """
@@ -41,8 +41,8 @@ class InverseDynamics:
     Attributes:
         axes: Names of the tool's axes.
         rigid: Belt travel of every coordinate per travel of each axis, m/m, shape (coordinates, axes).
-        left_out: Labels of effects that the formulas do not contain: those with a memory, on belts and sensors, delays,
-            and forces that grow with those of drives or belts.
+        left_out: Labels of effects that the formulas do not contain: those with a memory, on belts and
+            sensors, delays, and forces that grow with those of drives or belts.
         limits: Largest command of each drive, V, shape (drives,).
 
     Raises:
@@ -114,11 +114,11 @@ class InverseDynamics:
         return total, friction
 
     def motor_voltages(self, values: Values, forces: Sequence[Any]) -> list[Any]:
-        """Convert forces to the voltages at the motors that cause them; voltage range and amplifier are not regarded.
+        """Convert forces to the voltages at motors that cause them, without voltage range and amplifier.
 
         Args:
-            forces: Forces along the belt travel, N, one per coordinate, as `coordinate_forces` returns them: the total
-                with the back-EMF.
+            forces: Forces along the belt travel, N, one per coordinate, as `coordinate_forces` returns them:
+                the total with the back-EMF.
 
         Returns:
             One voltage per drive, V, shape (drives,).
@@ -140,7 +140,8 @@ class InverseDynamics:
 
         Args:
             motor_voltages: Voltages, V, one value per drive.
-            invert: Function (drive, voltage) that inverts an amplifier, for drives that have effects on the voltage.
+            invert: Function (drive, voltage) that inverts an amplifier, for drives that have effects on the
+                voltage.
         """
         return [
             invert(j, u) if has else u
@@ -150,7 +151,8 @@ class InverseDynamics:
     def command(self, j: int, voltage: float) -> float:
         """Invert the amplifier of drive j by bisection: the smallest command, V, that gives the `voltage`, V.
 
-        In the jump of a dead band, which no command reaches, it is the command that gives the next larger voltage.
+        In the jump of a dead band, which no command reaches, it is the command that gives the next larger
+        voltage.
         """
         low, high = 0.0, float(self.limits[j])
         at_rest = self.amplifier(None, j, 0.0)
@@ -166,7 +168,7 @@ class InverseDynamics:
         return side * high
 
     def motor_reference(self, values: Values, position: Sequence[Any], forces: Sequence[Any]) -> list[Any]:
-        """Compute each drive's position, rad or m, at which the belts transmit the forces that the tool needs.
+        """Compute drive positions, rad or m, at which the belts transmit the forces that the tool needs.
 
         Args:
             position: Tool position, m, one value per axis.
@@ -216,7 +218,7 @@ def _tidy(matrix: NDArray[np.floating[Any]]) -> Array:
 
 
 def _described(effect: AppliedEffect) -> bool:
-    """Return whether the formulas contain an effect: the motion determines its force, or it acts on a voltage."""
+    """Return whether formulas contain an effect: motion determines its force, or it acts on a voltage."""
     definition = effect.definition
     if definition.structure or definition.voltage:
         return True

@@ -1,4 +1,4 @@
-"""Languages of controllers: how they write expressions and assignments, and the body of a formula in one of them."""
+"""Languages of controllers: how they write expressions and assignments, and the body of a formula."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ class Language(ABC):
         prefix: Prefix of the names of all functions.
 
     Attributes:
-        functions: Names of functions of the standard library by name in `dynamics.elementwise` (class attribute).
+        functions: Names of functions of the standard library by name in `dynamics.elementwise` (class
+            attribute).
         signs: Signs of the operators that differ from Python's (class attribute).
         helpers: Names of the functions beyond the standard library that the text written so far uses.
     """
@@ -44,7 +45,7 @@ class Language(ABC):
         """Write a choice between two values, which are atoms or in brackets as the condition is."""
 
     def operation(self, name: str, operands: Sequence[str]) -> str:
-        """Write an operation or a call of a function of operands, which are atoms or in brackets, without brackets.
+        """Write an operation or a call of a function of operands, atoms or in brackets, without brackets.
 
         Args:
             name: Operator such as "+" or name of a function in `dynamics.elementwise`.

@@ -4,7 +4,8 @@ feedforward             voltages of a motion of the tool
 friction_compensation   the part of them against dry friction and forces of effects
 motor_reference         motor positions with stretched belts
 pid                     one step of the textbook PID
-amplifier_J, command_J  characteristic of amplifier J and its inverse, for drives with effects on their voltage
+amplifier_J, command_J  characteristic of amplifier J and its inverse, for drives with effects on their
+                        voltage
 """
 
 from __future__ import annotations
@@ -75,7 +76,7 @@ class MotionFormulas:
         return [plain(line) for line in lines]
 
     def vectors(self, formula: Formula, count: int, seed: int) -> Vectors:
-        """Compute test vectors of a formula with the equations or the controller itself, shape (count, entries).
+        """Compute test vectors of a formula with equations or the controller itself, shape (count, entries).
 
         For `pid` they are successive steps from an integral of zero, for the others a random motion.
         """
@@ -90,7 +91,7 @@ class MotionFormulas:
         return Vectors(np.array(inputs), np.array(outputs))
 
     def _random_motion(self, rng: np.random.Generator, count: int) -> tuple[Array, Array, Array, Array]:
-        """Return times and states of the tool within the limits of the machine; every fourth speed is zero."""
+        """Return times and states of the tool within limits of the machine; every fourth speed is zero."""
         machine, axes = self.dynamics.machine, self.dynamics.axes
         limits = motion_limits(machine)
         ranges = np.array([axis_range(machine.coordinate(a)) for a in axes])
@@ -154,7 +155,7 @@ def motion_formulas(machine: Machine, period: float) -> MotionFormulas:
 
 
 def _formulas_of_motion(dynamics: InverseDynamics, parameters: Mapping[str, Parameter]) -> list[Formula]:
-    """Trace what a motion of the tool needs: voltages, those against friction, and positions of the motors."""
+    """Trace what a motion of the tool needs: voltages, those against friction, and motor positions."""
     axes, drives = len(dynamics.axes), len(dynamics.machine.drives)
     time = Signal("time", 0, "time since the machine was switched on, s")
     position, velocity = (
@@ -328,7 +329,7 @@ def _floats(values: Sequence[Any]) -> list[float]:
 
 
 def check_prefix(prefix: str) -> str:
-    """Return the value of --prefix; an InputError refuses what is no identifier of C and of Structured Text."""
+    """Return the value of --prefix; an InputError unless it is an identifier of C and Structured Text."""
     if not _NAME.fullmatch(prefix) or "__" in prefix:
         raise InputError(
             f"--prefix {prefix}: must be a letter followed by at most 30 letters, digits or underscores"

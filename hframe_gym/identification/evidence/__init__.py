@@ -1,1 +1,1 @@
-"""Evidence for and against an effect: significance, rivals, held-out runs, behavior outside the recordings."""
+"""Evidence for and against an effect: significance, rivals, held-out runs, behavior outside recordings."""

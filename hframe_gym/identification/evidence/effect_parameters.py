@@ -1,4 +1,4 @@
-"""Parameters of a fitted effect: their values with the limits of these, and its sizes with standard deviations."""
+"""Parameters of a fitted effect: values with their limits, and its sizes with standard deviations."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def parameter_values(label: str, fitted: Fit) -> tuple[ParameterValue, ...]:
 
 
 def sizes(effect: AppliedEffect, machine: Machine) -> tuple[Size, ...]:
-    """Return the parameters without which an effect of a fitted machine is absent, with their standard deviations.
+    """Return the parameters without which a fitted effect is absent, with their standard deviations.
 
     Args:
         effect: The effect with its fitted parameters.

@@ -27,8 +27,9 @@ _TABULATED = {"position", "speed", "time"}  # variables of tables (`search.table
 def depend_on_same_variable(first: AppliedEffect, second: AppliedEffect, machine: Machine) -> bool:
     """Check whether two effects are functions of the same variable of the same component, such as its speed.
 
-    If so, a small effect may be an error in the formula of a large one: an inaccurate formula of friction leaves a
-    force that depends on the speed as well. A clock whose rate changes acts on all components, and changes with time.
+    If so, a small effect may be an error in the formula of a large one: an inaccurate formula of friction
+    leaves a force that depends on the speed as well. A clock whose rate changes acts on all components, and
+    changes with time.
 
     Args:
         first: One effect at its component.
@@ -36,9 +37,9 @@ def depend_on_same_variable(first: AppliedEffect, second: AppliedEffect, machine
         machine: Machine on which both act.
 
     Returns:
-        True for example for Stribeck friction and quadratic drag of one coordinate, two functions of its speed, and for
-        a drifting clock and a winding that warms up. False if only one of them is periodic in the variable, or if one
-        adds coordinates.
+        True for example for Stribeck friction and quadratic drag of one coordinate, two functions of its
+        speed, and for a drifting clock and a winding that warms up. False if only one of them is periodic in
+        the variable, or if one adds coordinates.
     """
     if first.definition.clock or second.definition.clock:
         return _changes_with_time(first) and _changes_with_time(second)
@@ -48,7 +49,7 @@ def depend_on_same_variable(first: AppliedEffect, second: AppliedEffect, machine
 
 
 def _changes_with_time(effect: AppliedEffect) -> bool:
-    """Return whether an effect is a function of time or drifts: its state has a time constant beyond fast motion."""
+    """Return whether an effect depends on time or drifts: its state's time constant is beyond fast motion."""
     definition = effect.definition
     if definition.clock or definition.against == "time" or ("time", False) in _variables(effect):
         return True
@@ -57,10 +58,10 @@ def _changes_with_time(effect: AppliedEffect) -> bool:
 
 
 def curves_of_one_variable(effects: Sequence[AppliedEffect], machine: Machine) -> list[AppliedEffect]:
-    """Return the effects that are functions of one and the same variable of the same coordinate, two at least.
+    """Return the effects that are functions of the same variable of one coordinate, two at least.
 
-    Together they are a curve over this variable, periodic ones among them. Effects with a memory are none, and those of
-    variables that no table has, such as a voltage.
+    Together they are a curve over this variable, periodic ones among them. Effects with a memory are none,
+    and those of variables that no table has, such as a voltage.
 
     Args:
         effects: Effects of the machine among which to look.
@@ -89,10 +90,10 @@ def _variables(effect: AppliedEffect) -> set[tuple[str, bool]]:
 
 
 def describes_one_run(effect: Effect) -> bool:
-    """Return whether an effect may describe what is wrong in one run of a session, whatever it is in the others.
+    """Return whether an effect may describe a fault of one run of a session, whatever it is in the others.
 
-    A function of time and a clock act in each run as they do at its time only, a winding begins each run with another
-    gain, and a table has values that are fitted where one run alone reaches.
+    A function of time and a clock act in each run as they do at its time only, a winding begins each run with
+    another gain, and a table has values that are fitted where one run alone reaches.
     """
     over_time = any(
         hook and "t" in argument_names(hook) for hook in (getattr(effect, name) for name in HOOKS)

@@ -23,20 +23,23 @@ from .tried_effects import SelectedEffect
 def held_out_gain(selected: SelectedEffect, machine: Machine, held_out: Dataset, bandwidth: float) -> float:
     """Return the fraction of the squared error of the held-out runs that one of several effects removes.
 
-    The machine with all effects is compared with a copy without this effect, whose other parameters are equal. If the
-    effect added coordinates, it is compared with the machine that was fitted with all other effects.
+    The machine with all effects is compared with a copy without this effect, whose other parameters are
+    equal. If the effect added coordinates, it is compared with the machine that was fitted with all other
+    effects.
 
-    An observer hides slow errors, and with them what a small constant force explains. If it shows no gain, the error of
-    a simulation decides, provided that the effect removes more than half of that.
+    An observer hides slow errors, and with them what a small constant force explains. If it shows no gain,
+    the error of a simulation decides, provided that the effect removes more than half of that.
 
     Args:
         selected: Effect that the search selected.
         machine: Machine with all effects.
         held_out: Held-out runs, which were not fitted.
-        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
+        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a
+            simulation.
 
     Returns:
-        Fraction, dimensionless, at most 1; negative if the effect increases the error, as `error_reduction` defines it.
+        Fraction, dimensionless, at most 1; negative if the effect increases the error, as `error_reduction`
+        defines it.
     """
     without = _machine_without(selected, machine)
     gain = error_reduction(without, machine, held_out, bandwidth)
@@ -47,7 +50,7 @@ def held_out_gain(selected: SelectedEffect, machine: Machine, held_out: Dataset,
 
 
 def _machine_without(selected: SelectedEffect, machine: Machine) -> Machine:
-    """Return a machine without one of its effects; for an effect that added coordinates, as it was fitted without."""
+    """Return a machine without one of its effects; if it added coordinates, as fitted without it."""
     if selected.effect.definition.structure:  # the effect added coordinates
         return selected.machine_without
     return machine.replace(effects=tuple(e for e in machine.effects if e.label != selected.effect.label))
@@ -56,15 +59,16 @@ def _machine_without(selected: SelectedEffect, machine: Machine) -> Machine:
 def error_reduction(without: Machine, machine: Machine, held_out: Dataset, bandwidth: float) -> float:
     """Return by which fraction a machine reduces the squared error of another: 1 - error^2 / error_without^2.
 
-    The error is the root mean square prediction error in units of the sensors' noise. With the widest observer
-    (60 rad/s), for machines without belts and with a drive and a sensor for each coordinate, it is the error of the
-    drives' force instead: force by the voltages minus force that the measured motion requires
-    (`inverse_dynamics.force_error`). Effects on sensors do not change this force. If the machines differ in such
-    effects, the prediction errors are therefore compared.
+    The error is the root mean square prediction error in units of the sensors' noise. With the widest
+    observer (60 rad/s), for machines without belts and with a drive and a sensor for each coordinate, it is
+    the error of the drives' force instead: force by the voltages minus force that the measured motion
+    requires (`inverse_dynamics.force_error`). Effects on sensors do not change this force. If the machines
+    differ in such effects, the prediction errors are therefore compared.
 
     Args:
         without: Machine to compare with, for example without an effect.
-        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
+        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a
+            simulation.
 
     Returns:
         Fraction, dimensionless, at most 1; negative if the error is larger, not finite if a machine diverges.
@@ -86,11 +90,11 @@ def error_reduction(without: Machine, machine: Machine, held_out: Dataset, bandw
 
 
 def worsens_simulation(without: Machine, machine: Machine, held_out: Dataset) -> bool:
-    """Check whether a machine with effects simulates the held-out runs worse than the refitted machine without them.
+    """Check whether a machine with effects simulates held-out runs worse than the refitted one without.
 
-    An observer hides slow errors, so that wrong effects may reduce the error of predictions and add up in a simulation.
-    Errors of interpolated voltages add up there as well, to many times what effects change. Runs with such errors are
-    therefore predicted with the narrowest observer that suits them (`bandwidths_for`).
+    An observer hides slow errors, so that wrong effects may reduce the error of predictions and add up in a
+    simulation. Errors of interpolated voltages add up there as well, to many times what effects change. Runs
+    with such errors are therefore predicted with the narrowest observer that suits them (`bandwidths_for`).
 
     Args:
         without: Refitted machine without the effects.
@@ -98,9 +102,9 @@ def worsens_simulation(without: Machine, machine: Machine, held_out: Dataset) ->
         held_out: Held-out runs.
 
     Returns:
-        True if the ratio of the squared simulation errors, with effects / without effects, has a geometric mean over
-        the runs above 1. In this mean, a single run with a large error of another cause counts little. A run on which
-        both simulations diverge does not count.
+        True if the ratio of the squared simulation errors, with effects / without effects, has a geometric
+        mean over the runs above 1. In this mean, a single run with a large error of another cause counts
+        little. A run on which both simulations diverge does not count.
     """
     bandwidth, changes = bandwidths_for(held_out)[-1], []
     for run in held_out.single_runs():
@@ -112,18 +116,19 @@ def worsens_simulation(without: Machine, machine: Machine, held_out: Dataset) ->
 def is_excited(selected: SelectedEffect, machine: Machine, held_out: Dataset, bandwidth: float) -> bool:
     """Check whether an effect changes the predictions of the held-out runs at all.
 
-    Examples of effects that do not: a current limit that the held-out voltages never reach, or a constant force on a
-    carriage that friction holds.
+    Examples of effects that do not: a current limit that the held-out voltages never reach, or a constant
+    force on a carriage that friction holds.
 
     Args:
         selected: Effect that the search selected.
         machine: Machine with all effects.
         held_out: Held-out runs.
-        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
+        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a
+            simulation.
 
     Returns:
-        True if the root mean square change of the predictions is at least 1/20 of the root mean square error, or if a
-        prediction diverges.
+        True if the root mean square change of the predictions is at least 1/20 of the root mean square error,
+        or if a prediction diverges.
     """
     without = _machine_without(selected, machine)
 
@@ -147,7 +152,8 @@ def shown_effects(
         selected: Effects that the search selected.
         machine: Machine with all effects.
         held_out: Held-out runs, which were not fitted.
-        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
+        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a
+            simulation.
     """
     return {
         s.effect.label: judge.HeldOutEffect(
@@ -162,8 +168,9 @@ def contradicting_held_out_runs(
 ) -> tuple[str, ...]:
     """Find the held-out runs that a fitted machine explains far worse than the runs that it was fitted to.
 
-    Either something was wrong with such a run (a loose connector, a slipped belt, another amplifier setting), or it
-    excites an effect that the fitted runs do not excite. A run whose error the effects cause refutes these instead.
+    Either something was wrong with such a run (a loose connector, a slipped belt, another amplifier setting),
+    or it excites an effect that the fitted runs do not excite. A run whose error the effects cause refutes
+    these instead.
 
     Args:
         after: Fit of the machine with the selected effects.

@@ -1,7 +1,8 @@
-"""The plausibility of a machine with identified effects: whether it stays physical where no recording reaches.
+"""The plausibility of a machine with identified effects: whether it is physical where no recording reaches.
 
-A fit constrains an effect only where the recordings reach. Beyond, a belt that softens with extension may lose all
-tension, and a machine file that simulates its recordings may diverge under the voltages of a controller in training.
+A fit constrains an effect only where the recordings reach. Beyond, a belt that softens with extension may
+lose all tension, and a machine file that simulates its recordings may diverge under the voltages of a
+controller in training.
 """
 
 from __future__ import annotations
@@ -26,11 +27,11 @@ _FLAT = 1e-9  # fraction of the largest tension that counts as rounding error
 
 
 def monotonic_belts(machine: Machine) -> bool:
-    """Check that no belt loses tension when it is extended further, as far as the rated voltage can extend it.
+    """Check that no belt loses tension when extended further, as far as the rated voltage can extend it.
 
-    The largest extension of each belt is simulated for the machine without its effects, under voltages that switch at
-    random between the positive and the negative rated voltage, and multiplied by 1.5. A tension that is constant (play,
-    slack) is allowed.
+    The largest extension of each belt is simulated for the machine without its effects, under voltages that
+    switch at random between the positive and the negative rated voltage, and multiplied by 1.5. A tension
+    that is constant (play, slack) is allowed.
 
     Returns:
         True if the tension of no belt falls, and for a machine without effects on belts.
@@ -48,11 +49,12 @@ def monotonic_belts(machine: Machine) -> bool:
 def top_speeds(machine: Machine) -> tuple[float, float]:
     """Return the top speeds of a machine with and without its effects under 2 s of random rated voltage.
 
-    Every voltage switches between the positive and the negative rated one at random times (random telegraph signal).
-    Only the time before the machine without effects leaves its workspace is evaluated.
+    Every voltage switches between the positive and the negative rated one at random times (random telegraph
+    signal). Only the time before the machine without effects leaves its workspace is evaluated.
 
     Returns:
-        Largest rate of the belt travel with the effects and without them, m/s; infinite if the motion diverges.
+        Largest rate of the belt travel with the effects and without them, m/s; infinite if the motion
+        diverges.
     """
     _, speeds = _random_motions(machine)
     if not machine.effects:
@@ -65,8 +67,8 @@ def speeds_inside(machine: Machine, speeds: Array, positions: Array, reference: 
 
     Args:
         machine: The machine, with the ranges of its coordinates.
-        speeds: Magnitudes of the speeds with the effects, as rates of the belt travel, m/s, shape (histories, n,
-            coordinates).
+        speeds: Magnitudes of the speeds with the effects, as rates of the belt travel, m/s,
+            shape (histories, n, coordinates).
         positions: Positions without the effects, m or rad, shape (histories, n, coordinates).
         reference: Magnitudes of the speeds without them, m/s, of the same shape.
 
@@ -89,11 +91,11 @@ def _top(speeds: Array) -> float:
 
 
 def plausibility_fault(machine: Machine) -> str:
-    """Return why a machine is not physical outside the recordings it was fitted to, so that it must not be used.
+    """Return why a machine is not physical outside its fitted recordings, so that it must not be used.
 
     Returns:
-        Clause that follows "it", for example "makes the machine diverge under random rated voltage"; empty if there is
-        no fault (`judge.effect.fault_of_machine`).
+        Clause that follows "it", for example "makes the machine diverge under random rated voltage"; empty if
+        there is no fault (`judge.effect.fault_of_machine`).
     """
     return fault_of_machine(MachineBehavior(monotonic_belts(machine), lambda: top_speeds(machine)))
 
@@ -121,7 +123,8 @@ def _without_effects(machine: Machine) -> Machine:
 def _random_motions(machine: Machine) -> tuple[Array, Array]:
     """Simulate a machine, at rest in the middle of its workspace at first, under random rated voltages.
 
-    Return positions, m or rad, and magnitudes of the belt travel's rates, m/s, (histories, n, coordinates) each.
+    Return positions, m or rad, and magnitudes of the belt travel's rates, m/s, (histories, n, coordinates)
+    each.
     """
     rated = np.array([drive.rated_voltage for drive in machine.drives])
     inputs = _random_telegraph(len(rated)) * rated

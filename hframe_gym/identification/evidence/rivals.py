@@ -1,7 +1,8 @@
 """Choose between rivals: effects that explain the data about equally well.
 
-A trial is the fit of a machine with one candidate effect, the last one in its list. Two trials are equally good if
-their costs (sums of squared residuals in units of the noise) differ by less than a margin of `SelectionCriteria`.
+A trial is the fit of a machine with one candidate effect, the last one in its list. Two trials are equally
+good if their costs (sums of squared residuals in units of the noise) differ by less than a margin of
+`SelectionCriteria`.
 """
 
 from __future__ import annotations
@@ -48,10 +49,10 @@ from .effect_parameters import parameter_values
 
 
 def simplest_first(trials: list[Fit], current: Fit, criteria: SelectionCriteria) -> list[Fit]:
-    """Sort trial fits of different effects by preference: of equally good ones, that with fewest parameters first.
+    """Sort trial fits of different effects by preference: of equal ones, that with fewest parameters first.
 
-    Fits are as good as the best one if their cost (sum of squared residuals in units of the noise) exceeds its cost by
-    no more than 3 % of the reduction from the cost of `current` to that of the best fit.
+    Fits are as good as the best one if their cost (sum of squared residuals in units of the noise) exceeds
+    its cost by no more than 3 % of the reduction from the cost of `current` to that of the best fit.
 
     Args:
         trials: Fits with one candidate effect each.
@@ -59,8 +60,9 @@ def simplest_first(trials: list[Fit], current: Fit, criteria: SelectionCriteria)
         criteria: Decision thresholds; the values above are its defaults.
 
     Returns:
-        The same fits in a new order. First those that are as good as the best one: the fit with the fewest free
-        parameters first, of these an effect that needs no special part. Then all others: lowest cost first.
+        The same fits in a new order. First those that are as good as the best one: the fit with the fewest
+        free parameters first, of these an effect that needs no special part. Then all others: lowest cost
+        first.
     """
     ranked = sorted(trials, key=lambda trial: trial.cost)
     if not ranked:
@@ -117,8 +119,8 @@ def close_rivals(
     Args:
         trials: Fits with one candidate effect each; the first has the selected effect.
         current: Fit without a candidate, with the same observer bandwidth (rad/s) as the trials.
-        variance: Function that returns the variance that the residual of the first trial has in the direction of its
-            effect (`long_run_variance`); it is called if a rival needs it, and once.
+        variance: Function that returns the variance that the residual of the first trial has in the direction
+            of its effect (`long_run_variance`); it is called if a rival needs it, and once.
         criteria: Decision thresholds of `judge.rival.may_be_the_cause`.
 
     Returns:
@@ -139,10 +141,10 @@ def close_rivals(
 def rivals_in_combination(
     effect: AppliedEffect, rivals: Sequence[AppliedEffect], others: Sequence[AppliedEffect], machine: Machine
 ) -> tuple[AppliedEffect, ...]:
-    """Return further possible rivals of an effect that has a companion: another selected effect of the same kind.
+    """Return further possible rivals of an effect that has a companion: another selected one of its kind.
 
-    Two constant forces move a stage of two axes like two others at other components, although none of them alone is
-    like another. The search compares effects one by one, so that it does not see these rivals.
+    Two constant forces move a stage of two axes like two others at other components, although none of them
+    alone is like another. The search compares effects one by one, so that it does not see these rivals.
 
     Args:
         rivals: Its known rivals.
@@ -150,8 +152,9 @@ def rivals_in_combination(
         machine: Machine with all selected effects.
 
     Returns:
-        One effect of the same kinds at each coordinate that has none of them, with amplitude 0; only kinds whose single
-        parameter is an amplitude, for example `constant_force` and `voltage_offset`. Empty without a companion.
+        One effect of the same kinds at each coordinate that has none of them, with amplitude 0; only kinds
+        whose single parameter is an amplitude, for example `constant_force` and `voltage_offset`. Empty
+        without a companion.
     """
     kinds = {e.name: e.definition for e in (effect, *rivals)}
     of_others = {e.name: e.definition for e in others}
@@ -173,14 +176,15 @@ def rivals_in_combination(
 
 
 def hidden_rivals(effect: AppliedEffect, data: Dataset) -> tuple[AppliedEffect, ...]:
-    """Return the delay or lag of the drives that a log does not tell from another one, because it lacks voltages.
+    """Return the delay or lag of the drives that a log does not tell from another, as it lacks voltages.
 
     Args:
         effect: A selected effect.
         data: Runs that were fitted.
 
     Returns:
-        The others at the same site, of the same duration; none where all voltages are known, or of another effect.
+        The others at the same site, of the same duration; none where all voltages are known, or of another
+        effect.
     """
     if not is_timing(effect.definition) or not data.has_voltage_errors:
         return ()
@@ -197,10 +201,10 @@ class ComparedRivals(NamedTuple):
     """Comparison of an effect of the machine with its rivals, beside all other effects.
 
     Attributes:
-        better: Fit with the most likely rival in place of the effect, the last effect of its machine, at the observer
-            bandwidth of the given fit or in simulation; None if no rival is more likely.
-        remaining: Rivals that are not less likely than the effect by more than chance can explain, and those that were
-            not tried.
+        better: Fit with the most likely rival in place of the effect, the last effect of its machine, at the
+            observer bandwidth of the given fit or in simulation; None if no rival is more likely.
+        remaining: Rivals that are not less likely than the effect by more than chance can explain, and those
+            that were not tried.
     """
 
     better: Fit | None
@@ -217,20 +221,21 @@ def compare_rivals(
     in_combination: Sequence[AppliedEffect] = (),
     likely: Callable[[], Fit] | None = None,
 ) -> ComparedRivals:
-    """Compare an effect of the machine with its rivals by their likelihood, each fitted in place of the effect.
+    """Compare an effect of the machine with its rivals by their likelihood, each fitted in its place.
 
-    Those that the log cannot tell from it (`hidden_rivals`) remain without being fitted. Another one replaces the
-    effect, or is excluded, only if the difference in likelihood exceeds what chance may cause: `chance` of the
-    criteria, increased where the residual is correlated in time.
+    Those that the log cannot tell from it (`hidden_rivals`) remain without being fitted. Another one replaces
+    the effect, or is excluded, only if the difference in likelihood exceeds what chance may cause: `chance`
+    of the criteria, increased where the residual is correlated in time.
 
     Args:
         current: Fit of the machine with all effects.
         label: Label (name@component) of the effect to compare.
-        rivals: Its rivals. Those that add coordinates (structural effects) are not tried, and those that the machine
-            has beside the effect remain no rivals: both are there. None is tried for an effect that adds coordinates,
-            or that another effect requires.
+        rivals: Its rivals. Those that add coordinates (structural effects) are not tried, and those that the
+            machine has beside the effect remain no rivals: both are there. None is tried for an effect that
+            adds coordinates, or that another effect requires.
         in_combination: Further rivals, from `rivals_in_combination`, whose size is not known yet.
-        likely: Function that returns `most_likely_fit` of the fit, where it is known for another effect of the machine.
+        likely: Function that returns `most_likely_fit` of the fit, where it is known for another effect of
+            the machine.
 
     Returns:
         The most likely rival and those that remain, with parameters fitted beside all other effects.
@@ -243,7 +248,7 @@ def compare_rivals(
         return ComparedRivals(None, tuple(rivals))
 
     def margin_of(fitted: Fit, fitted_label: str) -> float:
-        """Return the difference of losses that chance may cause if the fit, with the effect so labeled, is right."""
+        """Return the difference of losses that chance may cause if the fit with this effect is right."""
         return chance_margin(long_run_variance(fitted, fitted_label, data), data.count, criteria)
 
     present_fit = likely() if likely else most_likely_fit(current, data)
@@ -282,13 +287,13 @@ def _sized(current: Fit, label: str, rival: AppliedEffect, data: Dataset) -> Fit
 
 
 def most_likely_fit(fitted: Fit, data: Dataset, largest_loss: float = math.inf) -> Fit:
-    """Fit with the shortest integration step, at the given bandwidth and in simulation; return the more likely fit.
+    """Fit with the shortest integration step, at the bandwidth and in simulation; return the more likely fit.
 
     The longer integration step of the search is too inaccurate to distinguish a delay of 0.1 ms from a lag.
 
     Args:
-        largest_loss: Loss, -2 log(likelihood) per measured value, dimensionless; a fit that cannot come down to it ends
-            early.
+        largest_loss: Loss, -2 log(likelihood) per measured value, dimensionless; a fit that cannot come down
+            to it ends early.
     """
     narrowest = bandwidths_for(data)[-1]
     fits = [fitted]
@@ -305,7 +310,7 @@ def most_likely_fit(fitted: Fit, data: Dataset, largest_loss: float = math.inf) 
 
 
 def _goal(largest_loss: float, fitted: Fit, data: Dataset) -> float:
-    """Return the cost above which a fit at a bandwidth is of no use; infinite where it is continued in simulation."""
+    """Return the cost above which a fit at a bandwidth is of no use; infinite if it goes on in simulation."""
     if not has_narrowest_observer(fitted, data):
         return math.inf
     return cost_of_loss(largest_loss, fitted.machine, data, fitted.bandwidth)

@@ -1,7 +1,7 @@
 """Significance of an effect: the evidence for and against it that `judge.effect` asks for.
 
-An effect that reduces the error may still not exist. Measured here are its gain in runs to which it was not fitted
-(leave-one-run-out), the gain that chance may explain, its force and the one that remains unexplained.
+An effect that reduces the error may still not exist. Measured here are its gain in runs to which it was not
+fitted (leave-one-run-out), the gain that chance may explain, its force and the one that remains unexplained.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from .unknown_voltages import cost_beside_voltages
 
 
 class TestedFit:
-    """Fit of a machine, and its fits with other observers and voltages, which the tests of several effects need.
+    """Fit of a machine, and its fits with other observers and voltages, for the tests of several effects.
 
     They are computed once, when they are needed.
 
@@ -71,7 +71,7 @@ class TestedFit:
 
     @cached_property
     def deviations(self) -> dict[str, float]:
-        """Standard deviations of the sizes of all effects, SI, by full name of the parameter (name@site.parameter)."""
+        """Standard deviations of the sizes of all effects, SI, by parameter (name@site.parameter)."""
         return _deviations(self.fitted, self.data)
 
     @cached_property
@@ -93,12 +93,12 @@ class TestedFit:
 def doubt_about_candidate(
     current: TestedFit, trial: Fit, criteria: SelectionCriteria, effect: AppliedEffect | None = None
 ) -> str:
-    """Return a reason why an effect may not exist although it reduces the error, or "" if it passes all tests.
+    """Return why an effect may not exist although it reduces the error, or "" if it passes all tests.
 
     Args:
         current: Fit of the machine without the effect.
-        trial: Fit of the machine with the effect. Both fits have the same observer bandwidth (the observer corrects
-            predictions by the measurements).
+        trial: Fit of the machine with the effect. Both fits have the same observer bandwidth (the observer
+            corrects predictions by the measurements).
         effect: The effect. Default: the last one of the machine.
 
     Returns:
@@ -113,22 +113,23 @@ def doubt_about_candidate(
 def doubt_beside_others(
     reduced: Fit, complete: TestedFit, effect: AppliedEffect, criteria: SelectionCriteria
 ) -> str:
-    """Return a reason why an effect of a machine may not exist, given all other effects, or "" if it passes all tests.
+    """Return why an effect of a machine may not exist, given all others, or "" if it passes all tests.
 
     Args:
         reduced: Fit of the machine with all other effects.
-        complete: Fit of the machine with all effects. Both fits have the same observer bandwidth (the observer corrects
-            predictions by the measurements).
+        complete: Fit of the machine with all effects. Both fits have the same observer bandwidth (the
+            observer corrects predictions by the measurements).
 
     Returns:
-        Clause that follows "it ", such as "has no effect on the error", by `judge.effect.doubt_beside_others`.
+        Clause that follows "it ", such as "has no effect on the error", by
+        `judge.effect.doubt_beside_others`.
     """
     without = TestedFit(reduced, complete.data)
     return judge.doubt_beside_others(effect_evidence(without, complete, effect), criteria)
 
 
 def effect_evidence(reduced: TestedFit, tested: TestedFit, effect: AppliedEffect) -> EffectEvidence:
-    """Collect what the fitted runs say about an effect; numbers that take seconds are computed when they are needed.
+    """Collect what the fitted runs say about an effect; slow numbers are computed when needed.
 
     Args:
         reduced: Fit of the machine without the effect.
@@ -189,8 +190,8 @@ def _sizes_by_observer(tested: TestedFit, label: str) -> list[SizeByFit]:
 def _sizes_by_instruments(tested: TestedFit, label: str) -> list[SizeByFit]:
     """Return the sizes of an effect by least squares, and by instruments; none if these find nothing.
 
-    Where both fits are right, the variance of their difference is the difference of their variances, because least
-    squares are the better of both (Hausman). That of the instruments is its limit.
+    Where both fits are right, the variance of their difference is the difference of their variances, because
+    least squares are the better of both (Hausman). That of the instruments is its limit.
     """
     found = tested.by_instruments
     if found is None:
@@ -200,7 +201,7 @@ def _sizes_by_instruments(tested: TestedFit, label: str) -> list[SizeByFit]:
 
 
 def _sizes(fitted: Fit, other: Fit, label: str, std: Callable[[str], float]) -> list[SizeByFit]:
-    """Return the sizes of an effect in two fits; the function returns the standard deviation of their difference."""
+    """Return the sizes of an effect in two fits, and a function for their difference's standard deviation."""
     here, there = (next(e for e in f.machine.effects if e.label == label) for f in (fitted, other))
     fitted_names = {free.name for free in fitted.free}
     return [
@@ -220,7 +221,7 @@ def _chance(without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset
 def _disagreement_of_sensors(
     without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset
 ) -> Callable[[], Disagreement] | None:
-    """Return what measures the disagreement of sensors without and with an error of one of them, if others see it."""
+    """Return measures of the sensors' disagreement without and with an error of one, if others see it."""
     machine = with_effect.machine
     if effect.definition.site != "sensor":
         return None
@@ -241,7 +242,7 @@ def _disagreement_of_sensors(
 
 
 def _is_forceless(effect: AppliedEffect) -> bool:
-    """Return whether an effect has no force at the machine's coordinates: it adds some, or changes the clock."""
+    """Return whether an effect exerts no force on coordinates: it adds some, or changes the clock."""
     return bool(effect.definition.structure or effect.definition.clock)
 
 

@@ -16,8 +16,8 @@ class SelectedEffect:
     Attributes:
         effect: The effect with its fitted parameters.
         gain: Reduction of chi-squared per sample on the fitted runs.
-        machine_without: The machine as it was fitted without the effect: beside all other effects once they were tested
-            beside each other, else before it was added.
+        machine_without: The machine as it was fitted without the effect: beside all other effects once they
+            were tested beside each other, else before it was added.
         rival_effects: Other effects, with fitted parameters, that explain the data equally well.
     """
 
@@ -28,7 +28,7 @@ class SelectedEffect:
 
     @property
     def rivals(self) -> tuple[str, ...]:
-        """Labels of the rival effects, then causes in words that no recording can distinguish from the effect."""
+        """Labels of the rival effects, then causes in words that no recording tells from the effect."""
         return (*(rival.label for rival in self.rival_effects), *self.effect.definition.equivalent)
 
     def with_values(self, machine: Machine, machine_without: Machine | None = None) -> SelectedEffect:
@@ -50,7 +50,8 @@ class SelectedEffect:
 
 # Fit of a machine with all selected effects, and these effects.
 Selection = tuple[Fit, tuple[SelectedEffect, ...]]
-# Fit without the next effect, and trial fits with one effect each, at the same observer bandwidth, the best one first.
+# Fit without the next effect, and trial fits with one effect each, at the same observer bandwidth, the best
+# one first.
 Step = tuple[Fit, list[Fit]]
 
 

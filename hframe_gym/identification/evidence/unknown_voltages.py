@@ -1,15 +1,16 @@
 """What the unknown voltages between the rows of a slow log may explain of the error.
 
-Interpolated voltages miss some of what a controller does between two rows, in the same way in all runs. Neither chance
-nor other runs tell such an error from an effect:
+Interpolated voltages miss some of what a controller does between two rows, in the same way in all runs.
+Neither chance nor other runs tell such an error from an effect:
 
-- The voltages may change more or less often between the rows than assumed, or follow straight lines or splines.
-- A controller answers the motion between the rows, such as vibrations on belts, of which the interpolated rows show
-  less. A damping of the belts that is not there describes what the controller damps.
+- The voltages may change more or less often between the rows than assumed, or follow straight lines or
+  splines.
+- A controller answers the motion between the rows, such as vibrations on belts, of which the interpolated
+  rows show less. A damping of the belts that is not there describes what the controller damps.
 
-What each of these changes in the predictions is a regressor, of which the amount is unknown and the same in all runs.
-An effect must reduce the error beside all of them (`judge.effect`). They are fitted together with the parameters, to
-first order: one step from the fit without the effect, and one from the fit with it.
+What each of these changes in the predictions is a regressor, of which the amount is unknown and the same in
+all runs. An effect must reduce the error beside all of them (`judge.effect`). They are fitted together with
+the parameters, to first order: one step from the fit without the effect, and one from the fit with it.
 """
 
 from __future__ import annotations
@@ -33,13 +34,14 @@ from ..predict.normal_equations import NormalEquations
 from ..predict.prediction import POLISH_STEP, SIMULATION, map_runs, predict
 from ..predict.voltage_errors import interpolation_variance
 
-# Largest amount of a regressor. The true voltages lie between the interpolations and may do as much again; errors of
-# interpolated voltages are known within a factor of two.
+# Largest amount of a regressor. The true voltages lie between the interpolations and may do as much again;
+# errors of interpolated voltages are known within a factor of two.
 _LARGEST = 2.0
 _OTHERS = 3  # other interpolations
 _ANSWER = 0.1  # V at most, for the linearization
 _STEPS = 8  # of the trapezoidal rule from row to row, over which interpolated motion is smooth
-_RIDGE = 1e-9  # keeps products regular where parameters, or regressors, have the same influence on the measurements
+# Keeps products regular where parameters, or regressors, have the same influence on the measurements.
+_RIDGE = 1e-9
 
 
 class _Part(NamedTuple):
@@ -57,7 +59,7 @@ class _Part(NamedTuple):
 
 
 def cost_beside_voltages(fitted: Fit, data: Dataset) -> float:
-    """Return the cost, prior included, that a fit leaves if the unknown voltages explain as much of it as they can.
+    """Return the cost, prior included, that a fit leaves if unknown voltages explain what they can.
 
     Args:
         data: Runs that were fitted, whose voltages change between the rows.
@@ -103,7 +105,7 @@ def cost_beside_voltages(fitted: Fit, data: Dataset) -> float:
 
 
 def _least_cost(total: NormalEquations, prior: Array, units: Array) -> float:
-    """Return the least cost for all parameters, and for amounts of regressors in these units up to `_LARGEST`."""
+    """Return the least cost for all parameters, and amounts of regressors in these units up to `_LARGEST`."""
     ridge = np.diag(_RIDGE * np.diag(total.information))
     reduced = total.eliminate_parameters(prior + ridge)
     by_parameters = total.gradient @ np.linalg.solve(total.information + prior + ridge, total.gradient)
@@ -163,8 +165,8 @@ def missed_motion(machine: Machine, run: PreparedRecording, start: Array, period
         period: Sampling period, s.
 
     Returns:
-        Speeds of what each drive moves, m/s or rad/s, then its positions, m or rad, shape (2 * drives, n - 1); None if
-        the simulation diverges.
+        Speeds of what each drive moves, m/s or rad/s, then its positions, m or rad,
+        shape (2 * drives, n - 1); None if the simulation diverges.
     """
     motion = predict(
         machine, run, SIMULATION, period=period, initial_state=start, longest_step=POLISH_STEP, states=True
@@ -186,7 +188,7 @@ def missed_motion(machine: Machine, run: PreparedRecording, start: Array, period
 
 
 def _interpolated_means(run: PreparedRecording, rows: Array) -> Array:
-    """Return the means from row to row of values, shape (n, values), that are interpolated as the voltages are."""
+    """Return the means from row to row of values, shape (n, values), interpolated as voltages are."""
     between = updated_inputs(run.time_s, rows, _STEPS, run.interpolation)
     trapezoids = 0.5 * (between[1:] + between[:-1])
     return np.asarray(trapezoids.reshape(-1, _STEPS, rows.shape[1]).mean(axis=1))

@@ -1,4 +1,4 @@
-"""Fit a machine to recordings: its parameters, the starts of the runs, covariances, and the error that is left.
+"""Fit a machine to recordings: its parameters, the starts of the runs, covariances, and the error left.
 
 Unless a docstring says otherwise, `data` are the runs that a machine was, or is to be, fitted to.
 """

@@ -1,4 +1,4 @@
-"""Errors of a simulated machine by output channel: root mean squares relative to noise and motion, and whiteness."""
+"""Errors of a simulated machine by output channel: rms relative to noise and motion, and whiteness."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class ChannelError(NamedTuple):
     Attributes:
         rmse: Root mean square error, in the channel's unit (m or rad).
         noise_ratio: The same divided by the standard deviation of the sensor's noise.
-        motion_ratio: The same divided by the rms motion, the deviation of the measurements from their mean in each run;
-            None also if nothing moves.
+        motion_ratio: The same divided by the rms motion, the deviation of the measurements from their mean in
+            each run; None also if nothing moves.
     """
 
     rmse: float | None
@@ -35,10 +35,10 @@ class ChannelError(NamedTuple):
 
 
 def simulation_error(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
-    """Simulate a run; return measured minus simulated values, without the constant errors of uncertain sensor zeros.
+    """Simulate a run; return measured minus simulated values, without constant errors of uncertain zeros.
 
-    A zero is the measurement at position 0. Its error is estimated from the rows at rest and, within limits, from the
-    complete run.
+    A zero is the measurement at position 0. Its error is estimated from the rows at rest and, within limits,
+    from the complete run.
 
     Args:
         machine: Machine, simulated without feedback from its most probable initial state in this run.
@@ -60,11 +60,13 @@ def channel_errors(machine: Machine, data: Dataset) -> dict[str, ChannelError]:
     """Simulate a machine over all runs and return the root mean square error of every output channel.
 
     Args:
-        machine: Machine to simulate, without feedback of the measurements, from its most probable initial states.
+        machine: Machine to simulate, without feedback of the measurements, from its most probable initial
+            states.
 
     Returns:
-        By name of the output channel: root mean square error `rmse`, m or rad, and `noise_ratio`, dimensionless, the
-        same divided by the standard deviation of the sensor's noise. Both are None for a channel without measurements.
+        By name of the output channel: root mean square error `rmse`, m or rad, and `noise_ratio`,
+        dimensionless, the same divided by the standard deviation of the sensor's noise. Both are None for a
+        channel without measurements.
     """
     return errors_by_channel(
         list(map_runs(lambda run: simulation_error(machine, run, data), data)), machine, data.noise
@@ -79,12 +81,12 @@ def errors_by_channel(
     Args:
         by_run: Errors by run, in the sensors' units, NaN where not measured, shape (n, sensors) each.
         noise: Standard deviations of the sensors' noise, in the sensors' units, shape (sensors,).
-        measured: Measurements of the same runs, in the sensors' units, shape (n, sensors) each, for the ratio of error
-            and motion. Default: without this ratio.
+        measured: Measurements of the same runs, in the sensors' units, shape (n, sensors) each, for the ratio
+            of error and motion. Default: without this ratio.
 
     Returns:
-        Errors by name of the output channel, in its unit, and dimensionless relative to noise and motion; None for a
-        channel without measurements.
+        Errors by name of the output channel, in its unit, and dimensionless relative to noise and motion;
+        None for a channel without measurements.
     """
     error = np.concatenate(by_run)
     motions = (
@@ -112,15 +114,16 @@ def _motion(outputs: Array, error: Array) -> Array:
 
 
 def white_sensors(machine: Machine, data: Dataset) -> NDArray[np.bool_]:
-    """Test for each sensor whether its simulation error is white noise with the standard deviation of its noise.
+    """Test whether each sensor's simulation error is white noise with the standard deviation of its noise.
 
-    The test evaluates means over blocks of n measurements (20 ms if none is missing), minus the mean over the run. The
-    standard deviation of such a mean is 1 / sqrt(n) of that of a sample if the error is white noise, but hardly smaller
-    if it is correlated in time. The repeated rounding error of a sensor at rest counts once (`run.weights`).
+    The test evaluates means over blocks of n measurements (20 ms if none is missing), minus the mean over the
+    run. The standard deviation of such a mean is 1 / sqrt(n) of that of a sample if the error is white noise,
+    but hardly smaller if it is correlated in time. The repeated rounding error of a sensor at rest counts
+    once (`run.weights`).
 
     Returns:
-        True where the standard deviation of the block means is at most 0.6 times that of the noise, shape (sensors,);
-        False where the simulation diverges.
+        True where the standard deviation of the block means is at most 0.6 times that of the noise,
+        shape (sensors,); False where the simulation diverges.
     """
     rows = max(2, round(_WHITENESS_BLOCK_S / data.period))
     squares, count = np.zeros(len(machine.sensors)), np.zeros(len(machine.sensors))

@@ -1,7 +1,8 @@
 """Estimation of the covariance of fitted parameters, from the residual of the fit.
 
-The residual is the difference of measurements and predictions in units of the sensors' noise. Where a machine is not
-exactly right, it is correlated in time, so that it determines the parameters less well than white noise would permit.
+The residual is the difference of measurements and predictions in units of the sensors' noise. Where a machine
+is not exactly right, it is correlated in time, so that it determines the parameters less well than white
+noise would permit.
 """
 
 from __future__ import annotations
@@ -31,8 +32,9 @@ BLOCK_S = 0.5  # s; longer than the correlation of the residual, vibrations incl
 _MAX_LEVERAGE = 0.99  # Largest fraction of the information in one block for which its residual is corrected.
 # theta; over shorter central differences, the curvature of the exponential is negligible.
 _MAX_DIFFERENCE = 0.01
-# Standard deviation of the delay between inputs and measurements, in sampling periods. The times of recordings are no
-# more accurate than that, and 1 % changes the identified inertia of a motor by more than the sensors' noise does.
+# Standard deviation of the delay between inputs and measurements, in sampling periods. The times of
+# recordings are no more accurate than that, and 1 % changes the identified inertia of a motor by more than
+# the sensors' noise does.
 DELAY_STD = 0.005
 _DELAY_DIFFERENCE = 0.05  # sampling periods
 
@@ -43,8 +45,8 @@ class _RunPart(NamedTuple):
     Attributes:
         information: Products of the responses to the directions in each block, shape (b, k, k).
         scores: Products of the responses and the residual in each block, shape (b, k).
-        delay_products: Products of the response to a delay of the inputs by one sampling period with the responses,
-            shape (k,).
+        delay_products: Products of the response to a delay of the inputs by one sampling period with the
+            responses, shape (k,).
         delay_information: Square sum of the response to that delay.
         delay_score: Product of the response to that delay and the residual.
     """
@@ -63,36 +65,40 @@ def with_uncertainty(
 
     The covariance is the sum of up to four parts:
 
-    - Residual: the sandwich estimator over blocks of 0.5 s, inside which the residual may be correlated in time. The
-      correction CR2 compensates for the part of each block's residual that the fit removed. For a small number of
-      blocks, standard deviations are multiplied by the ratio of the 95 % quantiles of Student's t and the normal
-      distribution, so that the value +- 1.96 standard deviations is a 95 % interval.
-    - Prior: combinations of parameters that the data do not determine keep the standard deviation of the prior.
+    - Residual: the sandwich estimator over blocks of 0.5 s, inside which the residual may be correlated in
+      time. The correction CR2 compensates for the part of each block's residual that the fit removed. For a
+      small number of blocks, standard deviations are multiplied by the ratio of the 95 % quantiles of
+      Student's t and the normal distribution, so that the value +- 1.96 standard deviations is a 95 %
+      interval.
+    - Prior: combinations of parameters that the data do not determine keep the standard deviation of the
+      prior.
     - Delay: the change of the parameters if the inputs act later than recorded. The variance of this delay is
       (0.005 T)^2 + d^2, with the sampling period T and the delay d that the residual indicates.
-    - Deviations: their mean square, if other fits are given. It is no variance of random errors, which is why tests of
-      chance are asked without it.
+    - Deviations: their mean square, if other fits are given. It is no variance of random errors, which is why
+      tests of chance are asked without it.
 
     The sum of the first two parts is at least the variance that white noise of the assumed size causes.
 
-    Derivatives are central differences along the principal axes of the Fisher information: along single parameters,
-    rounding would make viscous friction and back-EMF seem separable. A threshold (`FreeParameter.switch`) has no
-    derivative. It is raised and lowered until the cost clearly rises; its standard deviation is at least this change.
-    A fit by instruments brings its covariance along.
+    Derivatives are central differences along the principal axes of the Fisher information: along single
+    parameters, rounding would make viscous friction and back-EMF seem separable. A threshold
+    (`FreeParameter.switch`) has no derivative. It is raised and lowered until the cost clearly rises; its
+    standard deviation is at least this change. A fit by instruments brings its covariance along.
 
     Args:
         fitted: Fit of k parameters: machine, parameter values and cost.
-        indicated_delay: Whether d counts. It does not where the question is whether inputs act later than recorded.
-        deviations: Deviations of theta in m other fits, which should agree (`slow_logs.deviations_of_fits`), shape
-            (m, k). Default: none.
+        indicated_delay: Whether d counts. It does not where the question is whether inputs act later than
+            recorded.
+        deviations: Deviations of theta in m other fits, which should agree (`slow_logs.deviations_of_fits`),
+            shape (m, k). Default: none.
 
     Returns:
-        The fitted machine; its `uncertainty` holds the covariance of the k free parameters, SI, shape (k, k). It is
-        None if a prediction with the fitted parameters diverges, and as before if no parameter is free.
+        The fitted machine; its `uncertainty` holds the covariance of the k free parameters, SI, shape (k, k).
+        It is None if a prediction with the fitted parameters diverges, and as before if no parameter is free.
 
     References:
         White (1982), "Maximum likelihood estimation of misspecified models".
-        Bell and McCaffrey (2002), "Bias reduction in standard errors for linear regression with multi-stage samples".
+        Bell and McCaffrey (2002), "Bias reduction in standard errors for linear regression with multi-stage
+        samples".
     """
     if not fitted.free:
         return fitted.machine
@@ -117,7 +123,8 @@ def with_uncertainty(
     inverse = np.linalg.inv(information.sum(axis=0) + prior)
     eigenvalues, axes = np.linalg.eigh(inverse)
     root = (axes * np.sqrt(np.maximum(eigenvalues, 0.0))) @ axes.T  # symmetric square root of `inverse`
-    # A fit reduces the residual of a block by the square root of 1 minus the block's fraction of the information.
+    # A fit reduces the residual of a block by the square root of 1 minus the block's fraction of the
+    # information.
     leverage, axes = np.linalg.eigh(root @ information @ root)  # (blocks, k), (blocks, k, k)
     along_axes = np.einsum("bij,bi->bj", axes, scores @ root) / np.sqrt(
         1.0 - np.clip(leverage, 0.0, _MAX_LEVERAGE)
@@ -140,7 +147,7 @@ def with_uncertainty(
 
 
 def _with_covariance(fitted: Fit, covariance: Array) -> Machine:
-    """Return the fitted machine with the covariance of theta, shape (k, k), in units of the parameters' values."""
+    """Return the fitted machine with the covariance of theta, shape (k, k), in units of the parameters."""
     slopes = np.array([f.slope(t) for f, t in zip(fitted.free, fitted.theta, strict=True)])
     covariance = covariance * np.outer(slopes, slopes)
     uncertainty = Uncertainty(tuple(f.name for f in fitted.free), (covariance + covariance.T) / 2)
@@ -164,7 +171,8 @@ def student_widening(information: Array, estimator: Array) -> Array:
 def _directions(fitted: Fit, data: Dataset, prior: Array) -> Array:
     """Return the changes of theta over which differences are taken, one per column, shape (k, k).
 
-    Thresholds change alone, each by the amount that data determine; all other parameters along the principal axes.
+    Thresholds change alone, each by the amount that data determine; all other parameters along the principal
+    axes.
     """
     switches = np.array([f.switch for f in fitted.free], dtype=bool)
     directions, smooth = np.zeros_like(prior), np.ix_(~switches, ~switches)
@@ -205,7 +213,7 @@ def principal_directions(information: Array, prior: Array) -> Array:
 def _linearize(
     fitted: Fit, run: PreparedRecording, data: Dataset, directions: Array, start: UncertainStart
 ) -> _RunPart:
-    """Linearize the residual of one run, predicted from a given start, along directions (k, k), one per column."""
+    """Linearize a run's residual, predicted from a given start, along directions (k, k), one per column."""
     machine = fitted.machine
     thetas = np.vstack([fitted.theta, fitted.theta + directions.T, fitted.theta - directions.T])
     motion = predict_with_displaced_starts(

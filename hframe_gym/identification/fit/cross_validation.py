@@ -1,7 +1,8 @@
 """Cross-validation: what parameters that are fitted to some of the data cost in the rest of them.
 
-The runs, or pieces of them, are left out in turn. One step of the linear model around the fit to all of them leads to
-the parameters without a piece. The cost is the sum of squared residuals in units of the sensors' noise.
+The runs, or pieces of them, are left out in turn. One step of the linear model around the fit to all of them
+leads to the parameters without a piece. The cost is the sum of squared residuals in units of the sensors'
+noise.
 """
 
 from __future__ import annotations
@@ -96,10 +97,10 @@ def costs_of_some_left_out(
     free: Sequence[FreeParameter],
     theta: Array,
 ) -> list[float]:
-    """Compute the costs of pieces of a linear model with values of some parameters that are fitted to all other pieces.
+    """Compute the costs of pieces of a linear model with some parameters fitted to all other pieces.
 
-    The other parameters are fitted to all pieces beside these values. A piece may alone determine one of them, such as
-    a current that no other piece reaches: without it, this parameter would make any error.
+    The other parameters are fitted to all pieces beside these values. A piece may alone determine one of
+    them, such as a current that no other piece reaches: without it, this parameter would make any error.
 
     Args:
         equations: Normal equations of each piece, of k parameters.
@@ -125,7 +126,7 @@ def costs_of_some_left_out(
 
 
 def cross_validated_cost(fitted: Fit, data: Dataset) -> float:
-    """Return the cost, dimensionless, of all runs, each third with parameters that one step fits to the others."""
+    """Return the cost, dimensionless, of all runs, each third with parameters that a step fits to others."""
     model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, fitted.longest_step)
     by_run = model.linearize(fitted.theta).by_run
     names, folds = [run.name for run in data.runs], min(_FOLDS, len(data.runs))
@@ -145,7 +146,7 @@ def cross_validated_cost(fitted: Fit, data: Dataset) -> float:
 
 
 def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
-    """Return by how much an effect with values from other runs reduces the error of each run (leave one run out).
+    """Return by how much an effect with values from other runs reduces each run's error (leave one out).
 
     All other parameters are fitted to all runs, without the effect and beside these values of it
     (`costs_of_some_left_out`). The runs are divided as in `pieces_left_out`.
@@ -155,8 +156,8 @@ def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
         with_effect: Fit with the effect, at the same observer bandwidth (of the feedback of measurements).
 
     Returns:
-        Reduction of the cost, dimensionless, summed over all runs. It is usually smaller than the reduction on the
-        fitted runs, and negative if the effect describes single runs rather than the machine.
+        Reduction of the cost, dimensionless, summed over all runs. It is usually smaller than the reduction
+        on the fitted runs, and negative if the effect describes single runs rather than the machine.
     """
     tested, pieces = _of_effect(without, with_effect), _pieces_to_confirm(with_effect, data)
     equations = equations_of_pieces(with_effect, data, pieces)
@@ -168,21 +169,24 @@ def refitted_leave_one_out_gain(
 ) -> float:
     """Return what `leave_one_out_gain` does, with parameters that are fitted again for each piece.
 
-    The step of the linear model is too long where a single run determines a combination of parameters: without this
-    run, they leave the range in which the model is linear. All pieces are left out once more, because a choice of those
-    that speak against the effect would confirm what chance explains.
+    The step of the linear model is too long where a single run determines a combination of parameters:
+    without this run, they leave the range in which the model is linear. All pieces are left out once more,
+    because a choice of those that speak against the effect would confirm what chance explains.
 
-    A piece that is left out costs no less than one that is fitted, because the fit to all pieces would otherwise have
-    its parameters. The pieces that speak most against the effect by the linear model are therefore left out first, and
-    the others not at all once they could not confirm it even at the cost that they have in the fit.
+    A piece that is left out costs no less than one that is fitted, because the fit to all pieces would
+    otherwise have its parameters. The pieces that speak most against the effect by the linear model are
+    therefore left out first, and the others not at all once they could not confirm it even at the cost that
+    they have in the fit.
 
     Args:
         without: Fit without the effect.
         with_effect: Fit with the effect, at the same observer bandwidth (of the feedback of measurements).
-        least: Reduction, dimensionless, that confirms the effect. Default: the reduction is asked for, whatever it is.
+        least: Reduction, dimensionless, that confirms the effect. Default: the reduction is asked for,
+            whatever it is.
 
     Returns:
-        Reduction of the cost, dimensionless, summed over all runs, or an upper limit of it that is less than `least`.
+        Reduction of the cost, dimensionless, summed over all runs, or an upper limit of it that is less than
+        `least`.
     """
     tested, pieces = _of_effect(without, with_effect), _pieces_to_confirm(with_effect, data)
     equations = equations_of_pieces(with_effect, data, pieces)
@@ -235,9 +239,9 @@ def _pieces_to_confirm(with_effect: Fit, data: Dataset) -> int:
 def pieces_left_out(runs: int, *, table: bool) -> int:
     """Return into how many pieces each run is divided, of which one is left out in turn to confirm an effect.
 
-    Runs are left out whole. Of fewer than four runs, pieces (at least eight in all) are left out instead: too few other
-    runs might not determine the parameters. Of a machine with a table, halves of runs are: some of its values may
-    depend on a single run.
+    Runs are left out whole. Of fewer than four runs, pieces (at least eight in all) are left out instead: too
+    few other runs might not determine the parameters. Of a machine with a table, halves of runs are: some of
+    its values may depend on a single run.
 
     Args:
         runs: Number of runs.
@@ -248,9 +252,10 @@ def pieces_left_out(runs: int, *, table: bool) -> int:
 
 
 def contradicting_run(fitted: Fit, data: Dataset) -> str | None:
-    """Find the run that contradicts the other runs: the machine that is fitted to them does not explain this run.
+    """Find the run that contradicts the other runs: a machine fitted to them does not explain it.
 
-    The cause may be a mistake (a slipped belt, another amplifier setting) or an effect that only this run excites.
+    The cause may be a mistake (a slipped belt, another amplifier setting) or an effect that only this run
+    excites.
 
     Args:
         fitted: Fitted machine with its observer bandwidth.
@@ -269,7 +274,8 @@ def ratios_to_others(costs: Sequence[tuple[float, float]], counts: Sequence[floa
     """Return the cost per value of each run over that of all others, so that runs may have different lengths.
 
     Args:
-        costs: Cost of each run and of all others, dimensionless, with parameters that are fitted to the others.
+        costs: Cost of each run and of all others, dimensionless, with parameters that are fitted to the
+            others.
         counts: Effective number of measured values of each run.
     """
     total = sum(counts)

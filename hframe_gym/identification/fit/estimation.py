@@ -1,12 +1,13 @@
 """Estimation of a machine's parameters.
 
-The Levenberg-Marquardt method fits the parameters. They have a weak Gaussian prior around the declared machine, so that
-parameters that the data do not determine keep their declared values. Every iteration linearizes the residual by one
-batched simulation and tries several dampings in another. Dry friction needs no smoothing: its exact solution depends
-continuously on the parameters.
+The Levenberg-Marquardt method fits the parameters. They have a weak Gaussian prior around the declared
+machine, so that parameters that the data do not determine keep their declared values. Every iteration
+linearizes the residual by one batched simulation and tries several dampings in another. Dry friction needs no
+smoothing: its exact solution depends continuously on the parameters.
 
-An observer may correct a prediction by the measurements at every sample; its bandwidth, rad/s, states how strongly.
-Bandwidth 0 means no observer, a simulation. The cost is the sum of squared residuals in units of the sensors' noise.
+An observer may correct a prediction by the measurements at every sample; its bandwidth, rad/s, states how
+strongly. Bandwidth 0 means no observer, a simulation. The cost is the sum of squared residuals in units of
+the sensors' noise.
 """
 
 from __future__ import annotations
@@ -27,19 +28,21 @@ from ..predict.linearization import DIFFERENCE_STEP, Linearization, ResidualMode
 from ..predict.prediction import SEARCH_BANDWIDTH, SEARCH_STEP, innovation_variance, map_runs
 from ..predict.start_uncertainty import prediction_residuals, uncertain_starts
 
-# Relative to the diagonal of the Hessian. The step without damping (Gauss-Newton) lets combinations of parameters that
-# only the prior determines converge: damping holds them back, because the data determine each parameter by itself.
+# Relative to the diagonal of the Hessian. The step without damping (Gauss-Newton) lets combinations of
+# parameters that only the prior determines converge: damping holds them back, because the data determine each
+# parameter by itself.
 _DAMPINGS = (0.0, 1e-5, 1e-3, 1e-2, 1e-1, 1.0, 1e1, 1e2)
-# Changes of theta over which derivatives are computed where parts collide: from the general slope to the details.
+# Changes of theta over which derivatives are computed where parts collide: from the general slope to the
+# details.
 _IMPACT_DIFFERENCE_STEPS = (0.1, 0.01, DIFFERENCE_STEP)
 # Changes of theta at which the cost is compared for a parameter on which measurements depend in steps.
 SWITCH_CHANGES: Array = np.float64(0.5) ** np.arange(1, 14)  # 50 to 0.01 % of a threshold
-# The same for a parameter on which no prediction depends, such as a limit that is not reached: once it is reached,
-# derivatives lead on.
+# The same for a parameter on which no prediction depends, such as a limit that is not reached: once it is
+# reached, derivatives lead on.
 UNREACHED_CHANGES = SWITCH_CHANGES[:5]  # 50 to 3 %
-# Factor, dimensionless, from the square of a step's relative error of prediction to the part of its decrease of the
-# cost that the next step would add: (1 - found / predicted)^2 where the curvature is wrong, 9/4 of it where the cost
-# has a cubic term.
+# Factor, dimensionless, from the square of a step's relative error of prediction to the part of its decrease
+# of the cost that the next step would add: (1 - found / predicted)^2 where the curvature is wrong, 9/4 of it
+# where the cost has a cubic term.
 _NEXT_STEP = 2.25
 # Decrease of cost / chi2 at which an accurate fit ends; it is 1 at one standard deviation.
 CONVERGED_COST = 0.02
@@ -55,15 +58,18 @@ class Fit:
         theta: Fitted theta of each, the dimensionless variable defined by `FreeParameter`, shape (k,).
         cost: Sum of squared residuals in units of the noise, without the prior.
         count: Number of independent measured values.
-        bandwidth: Bandwidth of the observer that corrected the fitted predictions by the measurements, rad/s; 0 for a
-            pure simulation.
+        bandwidth: Bandwidth of the observer that corrected the fitted predictions by the measurements, rad/s;
+            0 for a pure simulation.
         information: Fisher information of theta without the prior, shape (k, k).
         longest_step: Maximum integration step of the fitted predictions, s.
-        floor: Chi-squared per sample of an exact machine with this observer, dimensionless (`innovation_variance`).
-        observers: Observers of the runs in the fit, by their name, if each run had another one; otherwise empty.
-        covariance: Covariance of theta, shape (k, k), of a fit by instruments (`slow_logs`); None: of least squares.
-        change_by_delay: Change of theta by the delay of the inputs that the residual of a fit by instruments indicates,
-            shape (k,); None: of least squares.
+        floor: Chi-squared per sample of an exact machine with this observer, dimensionless
+            (`innovation_variance`).
+        observers: Observers of the runs in the fit, by their name, if each run had another one; otherwise
+            empty.
+        covariance: Covariance of theta, shape (k, k), of a fit by instruments (`slow_logs`); None: of least
+            squares.
+        change_by_delay: Change of theta by the delay of the inputs that the residual of a fit by instruments
+            indicates, shape (k,); None: of least squares.
     """
 
     machine: Machine
@@ -81,7 +87,7 @@ class Fit:
 
     @property
     def chi2(self) -> float:
-        """Chi-squared per sample (mean squared residual / noise variance), 1 if only the sensors' noise remains."""
+        """Chi-squared per sample (mean squared residual / noise variance), 1 if only sensor noise remains."""
         return self.cost / self.count
 
     @property
@@ -109,10 +115,12 @@ class Fit:
 def describe_gain(before: Fit, after: Fit) -> str:
     """Describe the benefit of an effect: "reduces chi-squared per sample from 98.99 to 0.79 (simulation)".
 
-    A fit with the effect may end in a worse minimum: "does not reduce chi-squared per sample (500.5, with it 533.5)".
+    A fit with the effect may end in a worse minimum: "does not reduce chi-squared per sample (500.5, with it
+    533.5)".
 
     Args:
-        before: Fit without the effect; the text states its observer bandwidth, rad/s, or "simulation" if that is 0.
+        before: Fit without the effect; the text states its observer bandwidth, rad/s, or "simulation" if that
+            is 0.
         after: Fit with the effect, at the same bandwidth.
 
     Returns:
@@ -140,20 +148,24 @@ def fit(
 ) -> Fit:
     """Fit free parameters of a machine to a data set by the Levenberg-Marquardt method.
 
-    The fit minimizes the cost (sum of squared residuals in units of the noise) plus the penalty of the Gaussian priors,
-    which is multiplied by chi-squared per sample (cost / number of measured values) where that exceeds 1.
+    The fit minimizes the cost (sum of squared residuals in units of the noise) plus the penalty of the
+    Gaussian priors, which is multiplied by chi-squared per sample (cost / number of measured values) where
+    that exceeds 1.
 
     Args:
         machine: Machine that supplies the model and the values of all other parameters.
         free: The k free parameters with their priors.
-        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
-        theta: Initial theta of each parameter (`FreeParameter`), dimensionless, shape (k,). Default: 0, its center.
+        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a
+            simulation.
+        theta: Initial theta of each parameter (`FreeParameter`), dimensionless, shape (k,). Default: 0, its
+            center.
         iterations: Maximum number of iterations.
-        tolerance: Decrease of cost plus penalty per iteration, relative to their sum, below which the search ends.
+        tolerance: Decrease of cost plus penalty per iteration, relative to their sum, below which the search
+            ends.
         longest_step: Maximum integration step, s.
-        goal: Cost, dimensionless, above which the fit is of no use. The search ends where it cannot come down to it:
-            neither if each remaining iteration decreased the cost as much as the last one, nor if the step without
-            damping decreased it as the linear model promised. Default: every fit is of use.
+        goal: Cost, dimensionless, above which the fit is of no use. The search ends where it cannot come down
+            to it: neither if each remaining iteration decreased the cost as much as the last one, nor if the
+            step without damping decreased it as the linear model promised. Default: every fit is of use.
 
     Returns:
         Fit where the search ended; its cost is that without the penalty, infinite if the machine diverges.
@@ -173,10 +185,10 @@ def fit(
 def _descend(
     model: ResidualModel, theta: Array, iterations: int, tolerance: float, goal: float
 ) -> tuple[Array, float, Array]:
-    """Reduce the cost by Levenberg-Marquardt steps, until a further one would reduce it by less than the tolerance.
+    """Reduce the cost by Levenberg-Marquardt steps, until another one would gain less than the tolerance.
 
-    Return theta; its cost with the penalty of the prior, infinite if the machine diverges; and the Fisher information
-    without the prior at the last expansion point.
+    Return theta; its cost with the penalty of the prior, infinite if the machine diverges; and the Fisher
+    information without the prior at the last expansion point.
     """
     free, prior = model.free, prior_precision(model.free)
     information, cost = np.zeros((len(free), len(free))), math.inf
@@ -188,8 +200,8 @@ def _descend(
         if not equations.finite:  # this machine diverges, or one with slightly different parameters
             break
         information = equations.information
-        # If the mean square error is chi2 times that of the noise, the data are that much less certain; the prior is
-        # scaled by chi2 instead, so that it keeps its weight relative to the data.
+        # If the mean square error is chi2 times that of the noise, the data are that much less certain; the
+        # prior is scaled by chi2 instead, so that it keeps its weight relative to the data.
         precision = prior * max(1.0, equations.chi2)
         initial_cost = cost = equations.cost + float(theta @ precision @ theta)
         hessian, gradient = information + precision, equations.gradient + precision @ theta
@@ -218,10 +230,11 @@ def _descend(
 
 
 def _next_decrease(promised: Array, found: Array) -> float:
-    """Return about how much a further step would decrease the cost, by how well the trials of the last kept promises.
+    """Estimate how much a further step would decrease the cost, by how well the last trials kept promises.
 
-    Both are decreases of the cost, shape (trials,), those of the undamped step first, which leads to the minimum if the
-    linear model is exact. The worst of all trials counts: the errors of a long step may cancel each other by chance.
+    Both are decreases of the cost, shape (trials,), those of the undamped step first, which leads to the
+    minimum if the linear model is exact. The worst of all trials counts: the errors of a long step may cancel
+    each other by chance.
     """
     most = float(promised[0])
     if not most > 0.0:
@@ -231,15 +244,16 @@ def _next_decrease(promised: Array, found: Array) -> float:
 
 
 def _lowest_cost(before: float, cost: float, promised: float, remaining: int) -> float:
-    """Return the cost to which a fit may come down: by steps like the last one, or by the promised undamped step.
+    """Return the cost to which a fit may come down: by steps like the last, or the promised undamped step.
 
-    Along a curved valley, many short steps precede those that reach its bottom; the linear model sees how deep that is.
+    Along a curved valley, many short steps precede those that reach its bottom; the linear model sees how
+    deep that is.
     """
     return min(cost - remaining * (before - cost), before - promised)
 
 
 def _costs(expansion: Linearization, precision: Array, trials: Array) -> Array:
-    """Return the costs of trials, shape (trials, k), with the penalty of the prior; they are simulated as one batch."""
+    """Return the costs of trials, shape (trials, k), with the prior's penalty, simulated as one batch."""
     return expansion.costs(trials) + np.einsum("bi,ij,bj->b", trials, precision, trials)
 
 
@@ -259,8 +273,8 @@ def with_changed_switch(parameter: FreeParameter, j: int, theta: Array, changes:
         changes: Relative changes, shape (c,).
 
     Returns:
-        Copies of theta in which element j is larger by the changes, then those in which it is smaller, within its
-        limits, shape (2 * c, k).
+        Copies of theta in which element j is larger by the changes, then those in which it is smaller, within
+        its limits, shape (2 * c, k).
     """
     trials = np.tile(theta, (2 * len(changes), 1))
     trials[:, j] = np.clip(theta[j] + np.concatenate([changes, -changes]), *parameter.theta_limits)
@@ -272,11 +286,12 @@ def prediction_cost(
 ) -> float:
     """Return the cost of a machine: the sum of the squared residuals of its predictions over all runs.
 
-    The residuals are measured minus predicted values divided by the standard deviation of the sensors' noise, without
-    the part that the uncertain initial state can explain (`prediction_residuals`).
+    The residuals are measured minus predicted values divided by the standard deviation of the sensors' noise,
+    without the part that the uncertain initial state can explain (`prediction_residuals`).
 
     Args:
-        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
+        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a
+            simulation.
         longest_step: Maximum integration step, s.
 
     Returns:
@@ -292,7 +307,8 @@ def prediction_costs(
     """Return the cost of a machine on each run (`prediction_cost` is their sum).
 
     Args:
-        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
+        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a
+            simulation.
         longest_step: Maximum integration step, s.
 
     Returns:

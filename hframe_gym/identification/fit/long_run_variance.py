@@ -1,4 +1,4 @@
-"""Variance of a residual that is correlated in time, in the direction in which an effect changes predictions."""
+"""Variance of a residual correlated in time, in the direction in which an effect changes predictions."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ _NOISE_S = 0.05  # s; longer than the correlation of a sensor's noise
 
 
 def long_run_variance(fitted: Fit, label: str, data: Dataset) -> LongRunVariance:
-    """Return by which factor a residual that is correlated in time raises the gain that an effect reaches by chance.
+    """Return the factor by which a residual correlated in time raises the gain that chance gives.
 
-    The gain is the reduction of the cost (sum of squared residuals in units of the noise). The factor is the ratio of
-    the residual's long-run variance to the variance of white noise, in the direction in which the effect changes the
-    predictions. The long-run variance follows from sums of the residual over blocks that count as independent. Blocks
-    of 50 ms, of 0.5 s and complete runs are tried.
+    The gain is the reduction of the cost (sum of squared residuals in units of the noise). The factor is the
+    ratio of the residual's long-run variance to the variance of white noise, in the direction in which the
+    effect changes the predictions. The long-run variance follows from sums of the residual over blocks that
+    count as independent. Blocks of 50 ms, of 0.5 s and complete runs are tried.
 
     Args:
         fitted: Fit with the effect, at any observer bandwidth.
         label: Label (name@site) of the effect, of which at least one parameter is free.
 
     Returns:
-        The largest factor for the three kinds of blocks and all combinations of the effect's parameters, with the
-        number of blocks of 0.5 s. It is infinite if the machine diverges at the fitted or slightly different
-        parameters.
+        The largest factor for the three kinds of blocks and all combinations of the effect's parameters, with
+        the number of blocks of 0.5 s. It is infinite if the machine diverges at the fitted or slightly
+        different parameters.
 
     References:
         Liang and Zeger (1986), "Longitudinal data analysis using generalized linear models".
@@ -50,7 +50,7 @@ def long_run_variance(fitted: Fit, label: str, data: Dataset) -> LongRunVariance
 def variance_along(
     runs: Sequence[RunLinearization], of_effect: NDArray[np.bool_], precision: Array, short: int, long: int
 ) -> LongRunVariance:
-    """Return the long-run variance of a residual along the change that an effect causes, over that of white noise.
+    """Return the long-run variance of a residual along an effect's change, over that of white noise.
 
     Args:
         runs: Linearized residual of each run, with respect to k parameters.
@@ -60,7 +60,8 @@ def variance_along(
         long: Values of a block that counts as independent.
 
     Returns:
-        Factor, dimensionless, with the numbers of parameters and of long blocks, as `long_run_variance` describes.
+        Factor, dimensionless, with the numbers of parameters and of long blocks, as `long_run_variance`
+        describes.
     """
     if not all(np.isfinite(run.jacobian).all() and np.isfinite(run.residual).all() for run in runs):
         return LongRunVariance(math.inf)
@@ -83,5 +84,5 @@ def variance_along(
 
 
 def _block_sums(rows: Array, size: int) -> Array:
-    """Return sums over blocks of that many values, shape (k, blocks), of k rows; the last block may be shorter."""
+    """Return sums over blocks of given length, shape (k, blocks), of k rows; the last may be shorter."""
     return np.asarray(np.add.reduceat(rows, np.arange(0, rows.shape[1], size), axis=1))

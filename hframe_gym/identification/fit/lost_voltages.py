@@ -1,16 +1,16 @@
 """Estimate the voltages in rows that the logger dropped, from the motion that followed.
 
-Interpolation knows nothing of a voltage that stepped within a gap. One row of 1 ms with the wrong voltage displaces a
-machine by many times the noise of its sensors, so that even the true machine would seem to lack an effect. The voltages
-are therefore unknowns beside the parameters of the machine. They minimize the sum of squared residuals and of squared
-deviations from interpolation, each divided by its variance (maximum a posteriori). Gauss-Newton steps find this
-minimum. A step that does not reduce the sum is shortened: friction may hold the machine at one voltage and not at the
-next, so that the response is not linear.
+Interpolation knows nothing of a voltage that stepped within a gap. One row of 1 ms with the wrong voltage
+displaces a machine by many times the noise of its sensors, so that even the true machine would seem to lack
+an effect. The voltages are therefore unknowns beside the parameters of the machine. They minimize the sum of
+squared residuals and of squared deviations from interpolation, each divided by its variance (maximum a
+posteriori). Gauss-Newton steps find this minimum. A step that does not reduce the sum is shortened: friction
+may hold the machine at one voltage and not at the next, so that the response is not linear.
 
-A command that rests between its changes may have kept its last value over the gaps, as where the controller itself was
-late. If the motion is then predicted better, held values take the place of interpolated ones, also in gaps that are too
-long for an estimate. They need no estimate, which would take up what a wrong machine lacks, unless it leaves clearly
-less of the motion: then a step lies within a gap after all.
+A command that rests between its changes may have kept its last value over the gaps, as where the controller
+itself was late. If the motion is then predicted better, held values take the place of interpolated ones, also
+in gaps that are too long for an estimate. They need no estimate, which would take up what a wrong machine
+lacks, unless it leaves clearly less of the motion: then a step lies within a gap after all.
 """
 
 from __future__ import annotations
@@ -101,18 +101,20 @@ def held_over_gaps(data: Dataset) -> Dataset:
 def estimate_lost_voltages(data: Dataset, machine: Machine) -> Dataset:
     """Copy a data set, with the voltages in dropped rows estimated from the measurements by a fitted machine.
 
-    The expected voltages are interpolated linearly or by a cubic spline. Both are tried on recorded rows, each of which
-    is predicted from neighbors as far away as the ends of the gap; the better one is used. If the motion says that the
-    commands were held over the gaps, the last values are expected. The errors of these predictions give the expected
-    deviation of the voltages. What the machine does not explain counts as noise.
+    The expected voltages are interpolated linearly or by a cubic spline. Both are tried on recorded rows,
+    each of which is predicted from neighbors as far away as the ends of the gap; the better one is used. If
+    the motion says that the commands were held over the gaps, the last values are expected. The errors of
+    these predictions give the expected deviation of the voltages. What the machine does not explain counts as
+    noise.
 
     Args:
-        data: Data set in whose gaps of up to 20 rows voltages are estimated, and held or interpolated in longer ones.
+        data: Data set in whose gaps of up to 20 rows voltages are estimated, and held or interpolated in
+            longer ones.
         machine: Fitted machine with its effects.
 
     Returns:
-        Copy with corrected voltages; `data` itself if no row was dropped, or if all voltages change by at most 5 % of
-        the standard deviation of the interpolation error.
+        Copy with corrected voltages; `data` itself if no row was dropped, or if all voltages change by at
+        most 5 % of the standard deviation of the interpolation error.
     """
     if not any(run.dropped.any() for run in data.runs):
         return data
@@ -165,7 +167,7 @@ def _bridged(run: PreparedRecording, held: bool) -> PreparedRecording:
 
 
 def _count_unknown_rows(data: Dataset) -> int:
-    """Return the number of dropped rows, in gaps of up to 20, in all runs with measurements: these determine them."""
+    """Return how many rows were dropped, in gaps of up to 20, in runs with measurements."""
     return sum(len(_short_gaps(run.dropped)[0]) for run in data.runs if np.isfinite(run.outputs).any())
 
 
@@ -176,8 +178,8 @@ def _with_estimated_voltages(
 
     In gaps that are too long for an estimate, voltages are held or interpolated; their error is not known.
 
-    A narrower observer lets the response to a voltage last longer, which determines it better if the machine has no
-    large error. Of two bandwidths, the one that gives more information is used.
+    A narrower observer lets the response to a voltage last longer, which determines it better if the machine
+    has no large error. Of two bandwidths, the one that gives more information is used.
     """
     if not run.dropped.any() or not np.isfinite(run.outputs).any():
         return run, 0.0
@@ -242,9 +244,9 @@ def _posterior(
 ) -> tuple[float, Array, sparse.csr_array]:
     """Return how improbable the voltages of a run are, and the linear system of a Gauss-Newton step.
 
-    The cost is -2 times the logarithm of the posterior density plus a constant, at the most likely variance of the
-    noise; inf if the prediction diverges. Then follow half of its gradient, 1/V, and the information about the
-    voltages, 1/V^2.
+    The cost is -2 times the logarithm of the posterior density plus a constant, at the most likely variance
+    of the noise; inf if the prediction diverges. Then follow half of its gradient, 1/V, and the information
+    about the voltages, 1/V^2.
     """
     weights = 1.0 / unknowns.deviations.ravel() ** 2
     prior = sparse.csr_array(sparse.diags_array(weights))
@@ -277,7 +279,7 @@ def _short_gaps(dropped: NDArray[np.bool_]) -> tuple[Rows, Rows]:
 
 
 def _interpolated(run: PreparedRecording, rows: Rows, lengths: Rows, held: bool) -> tuple[Array, Array]:
-    """Return expected voltages in dropped rows, and the standard deviations of their errors, V, (rows, drives)."""
+    """Return expected voltages in dropped rows, and their errors' standard deviations, V, (rows, drives)."""
     voltages, deviations = np.zeros((2, len(rows), run.inputs.shape[1]))
     for length in np.unique(lengths):
         k = lengths == length
@@ -292,12 +294,13 @@ def _interpolated(run: PreparedRecording, rows: Rows, lengths: Rows, held: bool)
 def _interpolated_drive(
     time_s: Array, recorded: Array, rows: Rows, length: int, held: bool
 ) -> tuple[Array, Array]:
-    """Return expected voltages in gaps of `length` rows, and the standard deviations of their errors, V, (r,) each.
+    """Return expected voltages in gaps of `length` rows, and their errors' standard deviations, V, (r,).
 
-    Expected are the last recorded values if they are held, else interpolated ones. Recorded rows are predicted like the
-    middle of a gap. The square of the error is a constant plus a multiple of the squared change of the voltage across
-    the gap: where a stepping voltage is equal on both sides, it hardly errs. If fewer than ten rows can be predicted
-    where the voltage changes, the deviation is the change across the gap.
+    Expected are the last recorded values if they are held, else interpolated ones. Recorded rows are
+    predicted like the middle of a gap. The square of the error is a constant plus a multiple of the squared
+    change of the voltage across the gap: where a stepping voltage is equal on both sides, it hardly errs. If
+    fewer than ten rows can be predicted where the voltage changes, the deviation is the change across the
+    gap.
     """
     distance = (length + 2) // 2  # of the middle of a gap from its ends, in rows
     # Rows before and after each row: the nearest that are known, and those at twice their distance.

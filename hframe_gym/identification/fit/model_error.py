@@ -1,10 +1,11 @@
 """Fits with the observer that the error of a model beyond the sensors' noise requires.
 
-No model of a real machine is exact. A small force that no effect of the library describes (a residue) accumulates in a
-simulation to many times the sensors' noise, and effects that do not exist can reproduce parts of this error. An
-observer corrects the prediction by the measurements, as the steady-state Kalman filter for a random force would. The
-bandwidth, rad/s, that maximizes the likelihood of the innovations (errors before each correction) corresponds to the
-size of the residue; after every effect it is chosen anew. No residue: no observer (simulation, bandwidth 0).
+No model of a real machine is exact. A small force that no effect of the library describes (a residue)
+accumulates in a simulation to many times the sensors' noise, and effects that do not exist can reproduce
+parts of this error. An observer corrects the prediction by the measurements, as the steady-state Kalman
+filter for a random force would. The bandwidth, rad/s, that maximizes the likelihood of the innovations
+(errors before each correction) corresponds to the size of the residue; after every effect it is chosen anew.
+No residue: no observer (simulation, bandwidth 0).
 
 The cost is the sum of squared residuals in units of the sensors' noise; chi-squared per sample is its mean.
 """
@@ -38,12 +39,13 @@ def search_step(bandwidth: float, data: Dataset) -> float:
     """Return the integration step that suffices in the search for effects.
 
     Args:
-        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
+        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a
+            simulation.
 
     Returns:
-        Maximum integration step, s: 0.5 ms at 60 rad/s; 0.25 ms below, where integration errors accumulate. With an
-        observer, 0.5 ms also where voltages are interpolated, whose errors are so much larger that chi-squared per
-        sample changes by 0.0002.
+        Maximum integration step, s: 0.5 ms at 60 rad/s; 0.25 ms below, where integration errors accumulate.
+        With an observer, 0.5 ms also where voltages are interpolated, whose errors are so much larger that
+        chi-squared per sample changes by 0.0002.
     """
     uncertain = data.has_voltage_errors and bandwidth >= NARROWEST_WITH_VOLTAGE_ERRORS
     return SEARCH_STEP if uncertain or bandwidth >= SEARCH_BANDWIDTH else _SEARCH_STEP_NARROW
@@ -72,17 +74,17 @@ def has_narrowest_observer(fitted: Fit, data: Dataset) -> bool:
 def likelihood_loss(fitted: Fit, data: Dataset) -> float:
     """Return -2 log(likelihood) of the innovations per measured value, without constants.
 
-    Innovations are measured minus predicted values, where an observer corrects the prediction by the measurements.
-    Their expected variance is that of a steady-state Kalman filter, the variance of the sensor's noise / (1 - K) with
-    the position gain K. It depends on the bandwidth; therefore this loss, not the cost, compares fits at different
-    observer bandwidths.
+    Innovations are measured minus predicted values, where an observer corrects the prediction by the
+    measurements. Their expected variance is that of a steady-state Kalman filter, the variance of the
+    sensor's noise / (1 - K) with the position gain K. It depends on the bandwidth; therefore this loss, not
+    the cost, compares fits at different observer bandwidths.
 
     Args:
         fitted: Fit at any observer bandwidth.
 
     Returns:
-        Loss, dimensionless; 1 for an exact model in simulation with white noise of the assumed size. The difference of
-        two losses times the number of measured values is -2 log(likelihood ratio).
+        Loss, dimensionless; 1 for an exact model in simulation with white noise of the assumed size. The
+        difference of two losses times the number of measured values is -2 log(likelihood ratio).
 
     References:
         Ljung (1999), "System Identification", section 7.4.
@@ -138,9 +140,9 @@ def likelihood_deficit(fitted: Fit, reference: Fit, data: Dataset) -> float:
 def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
     """Fit again at the observer bandwidth that maximizes the likelihood of the data.
 
-    An observer corrects the prediction by the measurements; the larger the error of the model, the larger the bandwidth
-    must be. Starting from the bandwidth of `fitted`, smaller ones and the simulation (no observer) are tried as
-    `judge.observer.likeliest` asks for them.
+    An observer corrects the prediction by the measurements; the larger the error of the model, the larger the
+    bandwidth must be. Starting from the bandwidth of `fitted`, smaller ones and the simulation (no observer)
+    are tried as `judge.observer.likeliest` asks for them.
 
     Args:
         fitted: Fit (machine, parameters, cost) at 60, 30, 15, 7, 3 or 0 rad/s (`BANDWIDTHS`; 0: simulation).
@@ -183,20 +185,20 @@ def polish(fitted: Fit, data: Dataset, *, goal: float = math.inf) -> Fit:
 
 
 def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
-    """Fit the parameters again with weaker feedback of measurements, so that the machine is better in simulation.
+    """Fit the parameters again with less feedback of measurements, so that the machine simulates better.
 
-    The final machine is used in simulation, whereas an observer (feedback of the measurements) hides slow errors of a
-    fit, and with them information about the parameters. Fits at all smaller bandwidths are therefore compared by the
-    product of two costs (sums of squared residuals): of the simulation, and of the prediction with the bandwidth of
-    `fitted` (`judge.observer.best_in_simulation`).
+    The final machine is used in simulation, whereas an observer (feedback of the measurements) hides slow
+    errors of a fit, and with them information about the parameters. Fits at all smaller bandwidths are
+    therefore compared by the product of two costs (sums of squared residuals): of the simulation, and of the
+    prediction with the bandwidth of `fitted` (`judge.observer.best_in_simulation`).
 
     Args:
         fitted: Final fit at any observer bandwidth.
 
     Returns:
-        Fit of the same parameters with the smallest product, polished. `fitted` itself if no fit is better, if it is a
-        simulation, if there is only one run, which permits no cross-validation, if the errors of interpolated
-        voltages add up in a simulation, or if the time of a stage that must deliver is used up.
+        Fit of the same parameters with the smallest product, polished. `fitted` itself if no fit is better,
+        if it is a simulation, if there is only one run, which permits no cross-validation, if the errors of
+        interpolated voltages add up in a simulation, or if the time of a stage that must deliver is used up.
     """
     if fitted.bandwidth == SIMULATION or len(data.runs) == 1 or data.has_voltage_errors or not goes_on():
         return fitted
@@ -208,8 +210,8 @@ def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
         return cost(narrower.machine, SIMULATION) * cost(narrower.machine, fitted.bandwidth)
 
     def simulated(best: Fit, least: float) -> tuple[Fit, float]:
-        # No parameters have a lower cost in prediction than the fit, and none in runs to which they were not fitted
-        # than in those to which they were.
+        # No parameters have a lower cost in prediction than the fit, and none in runs to which they were not
+        # fitted than in those to which they were.
         goal = least / fitted.cost
         again = continue_fit(best, data, SIMULATION, goal=goal)
         if not again.cost < goal:
@@ -223,11 +225,12 @@ def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
 
 
 def continue_fit(fitted: Fit, data: Dataset, bandwidth: float, *, goal: float = math.inf) -> Fit:
-    """Fit a machine again from the parameters of an earlier fit, to other data or at another observer bandwidth.
+    """Fit a machine again from an earlier fit's parameters, to other data or at another observer bandwidth.
 
     Args:
         fitted: Earlier fit; its parameters are the starting values.
-        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
+        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a
+            simulation.
         goal: Cost, dimensionless, above which the fit is of no use (`fit`).
 
     Returns:

@@ -1,20 +1,22 @@
-"""The plain fit: inertia, friction and a few constant terms from the recordings alone, whatever the machine file says.
+"""The plain fit: inertia, friction and a few constant terms from the recordings alone, not the machine file.
 
 It is what an engineer does first. Inverse dynamics: along each rigid motion z, the force of the drives is
 
     F = a (M z'') + b z' + c sign(z') + o   (+ s sin z + r cos z for an angle)
 
 with averages over windows in place of derivatives, so that no noise is differentiated, and a robust loss. No
-declared value enters, except for the directions of drives and sensors and the force per volt of the drives, which sets
-the unit of force. Then an output-error fit: the machine is simulated over the runs, without feedback of measurements,
-and its errors in meters or radians are minimized. All measurements of a sensor count alike, also those that the
-preparation holds for less accurate, because the result is compared with other machines by this error.
+declared value enters, except for the directions of drives and sensors and the force per volt of the drives,
+which sets the unit of force. Then an output-error fit: the machine is simulated over the runs, without
+feedback of measurements, and its errors in meters or radians are minimized. All measurements of a sensor
+count alike, also those that the preparation holds for less accurate, because the result is compared with
+other machines by this error.
 
-Where no sensor shows the direction of a motion (a counter of pulses), there is no balance of forces, and no observer
-leads to the solution. Such fits in simulation start from many points, because they have many local minima.
+Where no sensor shows the direction of a motion (a counter of pulses), there is no balance of forces, and no
+observer leads to the solution. Such fits in simulation start from many points, because they have many local
+minima.
 
-The plain fit serves twice. Its values are starting values where the declared ones are wrong by a factor. And no machine
-that identification delivers may predict the held-out runs worse.
+The plain fit serves twice. Its values are starting values where the declared ones are wrong by a factor. And
+no machine that identification delivers may predict the held-out runs worse.
 """
 
 from __future__ import annotations
@@ -47,28 +49,29 @@ from ..predict.prediction import SEARCH_BANDWIDTH, SIMULATION
 from .estimation import Fit, fit, prediction_cost
 from .long_run_variance import long_run_variance
 
-# Lengths of the windows, s. Short ones see fast motion, long ones suppress noise; the simulation decides between them.
+# Lengths of the windows, s. Short ones see fast motion, long ones suppress noise; the simulation decides
+# between them.
 _SPANS = (0.02, 0.05, 0.1, 0.2, 0.4)
 _REWEIGHTINGS = 10  # of the rows by their residuals
 _ROBUST = 1.5  # residuals beyond this multiple of the median count less
-# Shortest time constant, in windows: with less inertia, all of the motion follows the force within a window, and the
-# regression shows no inertia at all.
+# Shortest time constant, in windows: with less inertia, all of the motion follows the force within a window,
+# and the regression shows no inertia at all.
 _SHORTEST_TIME_CONSTANT = 0.1
-# Fraction of the drives' force, root mean square, of the least dry and the least viscous friction from which a
-# fit starts: a logarithm has limits, and these then reach from 0.02 % to half of that force.
+# Fraction of the drives' force, root mean square, of the least dry and the least viscous friction from which
+# a fit starts: a logarithm has limits, and these then reach from 0.02 % to half of that force.
 _LEAST_FRICTION = 0.01
 _LEAST_RATIO = 1e-3  # of friction to the declared one; a fit in logarithms needs a value above zero
 _WIDE_PRIOR = 1.0  # standard deviation of a logarithm; its limits are then a factor of 55
 _GUIDING_BANDWIDTH = 3.0  # rad/s, of an observer that leads an output-error fit to its solution
 _TERM_PRIOR = 10.0  # in typical sizes of a term
 _NO_LIMIT = 100.0  # times a declared limit; beyond the factor of 55 by which the fits change it
-# Points at which a simulation is compared, and the best of them from which it is fitted, where nothing else leads to
-# the solution. On CED, three of 32 fitted points reach the minimum, and one of the best 16 of 64.
+# Points at which a simulation is compared, and the best of them from which it is fitted, where nothing else
+# leads to the solution. On CED, three of 32 fitted points reach the minimum, and one of the best 16 of 64.
 _POINTS, _FITTED_POINTS = 64, 16
 # Of logarithms, to either side; other parameters extend from 0 to twice as many multiples of their scale.
 _POINTS_SPREAD = 1.5
-# A term (offset, weight, delay) counts where at most one of 100 that do not exist removes as much of the error by
-# chance: it is no name, and the held-out runs drop it if it does harm.
+# A term (offset, weight, delay) counts where at most one of 100 that do not exist removes as much of the
+# error by chance: it is no name, and the held-out runs drop it if it does harm.
 _TERM_CRITERIA = SelectionCriteria(chance=0.01)
 
 
@@ -96,7 +99,8 @@ class _Removal(NamedTuple):
     Attributes:
         fitted: Fit without the term.
         gain: Reduction of the cost by the term, dimensionless.
-        variance: Variance of the residual with the term, in the direction in which it changes the predictions.
+        variance: Variance of the residual with the term, in the direction in which it changes the
+            predictions.
     """
 
     fitted: Fit
@@ -109,13 +113,14 @@ class PlainFit:
     """Result of a plain fit.
 
     Attributes:
-        start: The machine with the inertia and friction of the inverse dynamics, without further terms; those of the
-            output-error fit where there are none, with a drive that follows a set point or without a sensor that shows
-            a direction.
-        fits: Output-error fits with different terms beside inertia and friction: a constant force, a weight or an input
-            delay, as effects of their machines. The last one has all terms that the runs show, the others fewer.
-        uncertain: Fits with all these and further terms, which remove no more of the error of the fitted runs than
-            chance may. Other runs may confirm them.
+        start: The machine with the inertia and friction of the inverse dynamics, without further terms; those
+            of the output-error fit where there are none, with a drive that follows a set point or without a
+            sensor that shows a direction.
+        fits: Output-error fits with different terms beside inertia and friction: a constant force, a weight
+            or an input delay, as effects of their machines. The last one has all terms that the runs show,
+            the others fewer.
+        uncertain: Fits with all these and further terms, which remove no more of the error of the fitted runs
+            than chance may. Other runs may confirm them.
         seconds: Processor time after which it ended before it was complete, s; None if it is complete.
     """
 
@@ -152,14 +157,14 @@ class PlainFit:
 
 
 def plain_fit(machine: Machine, data: Dataset, budget: Budget | None = None) -> PlainFit | None:
-    """Fit inertia, viscous and dry friction, and where it helps a constant force, a weight and an input delay.
+    """Fit inertia, viscous and dry friction, and, if it helps, a constant force, a weight and an input delay.
 
     Machines with belts are not refined in simulation: their rigid motion says nothing about belts.
 
     Args:
         machine: Machine as declared.
-        budget: Budget of the identification. After the part of it for the plain fit, the fit ends with its best
-            parameters so far. Default: it is completed.
+        budget: Budget of the identification. After the part of it for the plain fit, the fit ends with its
+            best parameters so far. Default: it is completed.
 
     Returns:
         The fit; None if the runs determine no motion, or no machine of this kind can be simulated over them.
@@ -183,8 +188,8 @@ def _fitted(machine: Machine, data: Dataset, equal: Dataset) -> PlainFit | None:
         best = min(points, key=_finite_cost)
         start, free = best.machine, wide_parameters(best.machine)
     else:
-        # The torque of a drive with a law depends on its unknown gains: no inverse dynamics, but output error at once.
-        # No balance shows a constant force then, so that it is tried from zero.
+        # The torque of a drive with a law depends on its unknown gains: no inverse dynamics, but output error
+        # at once. No balance shows a constant force then, so that it is tried from zero.
         starts = (
             starting_values(machine, data) if not machine.drive_laws else [(machine, _absent_forces(machine))]
         )
@@ -213,8 +218,8 @@ def _with_terms(
 ) -> PlainFit:
     """Add the terms that reduce the error, and tell those that the runs show from those that chance explains.
 
-    A term is judged beside all others, because what another one lacks hides it: the terms are first added without a
-    test, and then removed again, the least certain one first.
+    A term is judged beside all others, because what another one lacks hides it: the terms are first added
+    without a test, and then removed again, the least certain one first.
 
     Args:
         other: Machine from which a fit with a term begins, beside the fit without it.
@@ -276,7 +281,7 @@ def _adds_term(trial: Fit, without: Fit, term: AppliedEffect) -> bool:
 
 
 def _is_present(fitted: Fit, label: str) -> bool:
-    """Return whether a term has parameters that act: with a size of zero, it gains the rounding of the cost at most."""
+    """Return whether a term's parameters act: with a size of zero, it gains the cost's rounding at most."""
     acting = {parameter.name for parameter in wide_parameters(fitted.machine)}
     return any(p.name in acting for p in fitted.free if p.name.startswith(f"{label}."))
 
@@ -302,15 +307,15 @@ def _fit_with_term(start: Machine, fitted: Fit, term: AppliedEffect, equal: Data
     best = min(trials, key=_finite_cost)
     if best.cost < fitted.cost:
         return best
-    # A size from the balance belongs to the inertia and friction there. Beside those of the fit without the term, it
-    # led away: a fit that begins at that one can only become better.
+    # A size from the balance belongs to the inertia and friction there. Beside those of the fit without the
+    # term, it led away: a fit that begins at that one can only become better.
     absent = dataclasses.replace(term, parameters=dict.fromkeys(term.parameters, 0.0))
     free = (*wide_parameters(machine), *_term_parameters(absent, machine))
     return min(best, fit(machine.with_effects(absent), free, equal, SIMULATION), key=_finite_cost)
 
 
 def _fits_from_points(machine: Machine, data: Dataset) -> list[Fit]:
-    """Fit in simulation from the best of many points; undeclared dry friction is about a tenth of the drives' force."""
+    """Fit in simulation from the best of many points; let undeclared friction be a tenth of the force."""
     force = typical_force(machine)
     frictions = {f"{c.name}.coulomb": force * c.travel_per_unit for c in machine.coordinates if not c.coulomb}
     start = machine.replace(frictions)
@@ -338,7 +343,7 @@ def _fits_from_points(machine: Machine, data: Dataset) -> list[Fit]:
 
 
 def _output_error_fits(machine: Machine, free: Sequence[FreeParameter], data: Dataset) -> list[Fit]:
-    """Fit in simulation from a machine, and from where an observer leads: a simulation has more local minima."""
+    """Fit in simulation, which has more local minima, from a machine and from where an observer leads."""
     fits = [fit(machine, free, data, SIMULATION)]
     if goes_on():
         guided = fit(machine, free, data, _GUIDING_BANDWIDTH)
@@ -354,8 +359,8 @@ def equally_weighted(data: Dataset) -> Dataset:
     """Copy a data set so that all measurements of a sensor have the same weight and noise.
 
     Returns:
-        Copy in which the cost of a simulation is the sum of its squared errors, in units of each sensor's noise, as in
-        an evaluation.
+        Copy in which the cost of a simulation is the sum of its squared errors, in units of each sensor's
+        noise, as in an evaluation.
     """
     runs = (
         dataclasses.replace(
@@ -383,10 +388,10 @@ def refined_equally(fitted: Fit, data: Dataset) -> Fit:
 
 
 def wide_parameters(machine: Machine) -> tuple[FreeParameter, ...]:
-    """Return the parameters that identification refits, with priors so wide that the data alone determine them.
+    """Return the parameters that identification refits, with priors so wide that data alone determine them.
 
-    Phases of declared effects are among them also if they are zero: that is an angle like any other, for example that
-    at which an arm is believed to hang, and not an effect that is absent.
+    Phases of declared effects are among them also if they are zero: that is an angle like any other, for
+    example that at which an arm is believed to hang, and not an effect that is absent.
 
     Args:
         machine: Machine with the starting values.
@@ -427,7 +432,8 @@ def _absent_forces(machine: Machine) -> tuple[AppliedEffect, ...]:
 def _without_limits(machine: Machine) -> Machine:
     """Return a machine whose drives reach no limit of speed or torque.
 
-    At a limit, the motion hardly depends on the gains, and a fit can end where friction takes nearly all of the torque.
+    At a limit, the motion hardly depends on the gains, and a fit can end where friction takes nearly all of
+    the torque.
     """
     largest = {
         f"{law.site}.{p.name}": p.upper
@@ -442,7 +448,7 @@ def _without_limits(machine: Machine) -> Machine:
 
 
 def _terms(machine: Machine, offsets: Sequence[AppliedEffect]) -> Iterable[AppliedEffect]:
-    """Yield what a plain fit may need beside inertia and friction: offsets, weights, and a delay of the inputs."""
+    """Yield what a plain fit may need beside inertia and friction: offsets, weights, and an input delay."""
     yield from offsets
     for c in machine.coordinates if machine.position_sensors.any() else ():
         if c.kind == "rotary":
@@ -471,11 +477,11 @@ def starting_values(machine: Machine, data: Dataset) -> list[tuple[Machine, tupl
         machine: Machine as declared.
 
     Returns:
-        Machines with these values in place of the declared ones, and for each the constant forces of its balance; none
-        if the runs determine no motion. A declared weight has its declared size in one, and that of the balance in
-        another: small angles hardly determine it beside a constant force. The machine as declared where the balance
-        shows neither inertia nor viscous friction, as where each run has a constant speed: a simulation, which begins
-        at rest, shows both.
+        Machines with these values in place of the declared ones, and for each the constant forces of its
+        balance; none if the runs determine no motion. A declared weight has its declared size in one, and
+        that of the balance in another: small angles hardly determine it beside a constant force. The machine
+        as declared where the balance shows neither inertia nor viscous friction, as where each run has a
+        constant speed: a simulation, which begins at rest, shows both.
     """
     R = leading_motions(machine)
     measured, runs = _with_positions(machine, data.runs)
@@ -501,7 +507,7 @@ def starting_values(machine: Machine, data: Dataset) -> list[tuple[Machine, tupl
 def _with_positions(
     machine: Machine, runs: Sequence[PreparedRecording]
 ) -> tuple[Machine, list[PreparedRecording]]:
-    """Return a machine and its runs with integrated speeds as positions, if no sensor of it measures positions."""
+    """Return a machine and its runs with integrated speeds as positions, if it measures no positions."""
     speeds = np.array([s.of_velocity for s in machine.sensors], np.bool_)
     if machine.position_sensors.any() or not speeds.any():
         return machine, list(runs)
@@ -612,10 +618,10 @@ def _ratios(shares: Array, ratios: Array) -> Array:
 def better_start(machine: Machine, data: Dataset, plain: PlainFit | None) -> Machine:
     """Return the machine from which a refit starts: as declared, or with the values of the plain fit.
 
-    A refit keeps each parameter within a range around the start. The plain values are used if one of them lies outside
-    the range around the declared values, the refit from the declared values ends at a limit, and the refit from the
-    plain ones predicts or simulates the runs clearly better. Without a sensor that shows a direction, the refit may end
-    at another minimum instead, so that the last condition alone decides.
+    A refit keeps each parameter within a range around the start. The plain values are used if one of them
+    lies outside the range around the declared values, the refit from the declared values ends at a limit, and
+    the refit from the plain ones predicts or simulates the runs clearly better. Without a sensor that shows a
+    direction, the refit may end at another minimum instead, so that the last condition alone decides.
 
     Args:
         machine: Machine as declared.
@@ -641,15 +647,15 @@ def better_start(machine: Machine, data: Dataset, plain: PlainFit | None) -> Mac
 
 
 def outside_limits(declared: Machine, machine: Machine) -> tuple[str, ...]:
-    """Return the parameters whose value lies outside the range that a refit from the declared values may reach.
+    """Return the parameters with values outside the range that a refit from the declared values may reach.
 
     Args:
         declared: Machine as declared.
         machine: Machine with other values.
 
     Returns:
-        Full names of the parameters; friction that is smaller than the range permits does not count, because it is
-        small in any case.
+        Full names of the parameters; friction that is smaller than the range permits does not count, because
+        it is small in any case.
     """
     names = []
     for parameter in default_free_parameters(declared):

@@ -1,12 +1,12 @@
 """Find a quantity that differs between runs, such as a payload or the supply voltage.
 
-Identification assumes one machine for all runs. If a parameter had another value in every run, no effect explains the
-runs together, although each of them is explained by itself. Here one quantity at a time has a separate value in each
-run, fitted together with the parameters that the runs have in common. The result is a hint for the user: no machine
-contains it.
+Identification assumes one machine for all runs. If a parameter had another value in every run, no effect
+explains the runs together, although each of them is explained by itself. Here one quantity at a time has a
+separate value in each run, fitted together with the parameters that the runs have in common. The result is a
+hint for the user: no machine contains it.
 
-Notation: theta (k,) are the optimizer's variables of the free parameters, as in `linearization`; a (n,) are the
-dimensionless amounts by which a quantity differs in the n runs.
+Notation: theta (k,) are the optimizer's variables of the free parameters, as in `linearization`; a (n,) are
+the dimensionless amounts by which a quantity differs in the n runs.
 """
 
 from __future__ import annotations
@@ -46,8 +46,10 @@ class Quantity:
 
     Attributes:
         name: Name of the quantity, for messages.
-        exponents: Exponent by full name of a parameter. The parameter of a run is value * exp(exponent * amount).
-        additions: Addition (SI) by full name of a parameter. The parameter of a run is value + addition * amount.
+        exponents: Exponent by full name of a parameter. The parameter of a run is value * exp(exponent *
+            amount).
+        additions: Addition (SI) by full name of a parameter. The parameter of a run is value + addition *
+            amount.
     """
 
     name: str
@@ -62,8 +64,9 @@ class Quantity:
             amount: Dimensionless amount. With 0, the run has the common parameters.
 
         Returns:
-            Parameters of the run, SI, by full name: value * exp(exponent * amount) for those in `exponents`, value +
-            addition * amount (at least 5 % of value) for those in `additions`, and the common value for all others.
+            Parameters of the run, SI, by full name: value * exp(exponent * amount) for those in `exponents`,
+            value + addition * amount (at least 5 % of value) for those in `additions`, and the common value
+            for all others.
         """
         changed = dict(values)
         for name, exponent in self.exponents.items():
@@ -79,8 +82,8 @@ class Quantity:
             amount: Amount of one run minus that of the other, dimensionless.
 
         Returns:
-            Ratio exp(amount), such as "1.12"; for a quantity with `additions` (a payload), the difference, such as
-            "+0.31 kg".
+            Ratio exp(amount), such as "1.12"; for a quantity with `additions` (a payload), the difference,
+            such as "+0.31 kg".
         """
         if self.additions:
             return f"{amount * next(iter(self.additions.values())):+.2g} kg"
@@ -92,12 +95,14 @@ class RunDifferences(NamedTuple):
 
     Attributes:
         quantity: The quantity.
-        amounts: Amount of each run minus the smallest amount, dimensionless, by name of the run, in the order of the
-            runs' times.
+        amounts: Amount of each run minus the smallest amount, dimensionless, by name of the run, in the order
+            of the runs' times.
         chi2_before: Chi-squared per sample with one machine for all runs.
         chi2: The same with the differences.
-        shared: Smallest amount, dimensionless: by how much every run departs from the fit that the amounts start from.
-        explains: Whether the machine with these values explains the runs; otherwise something else is missing as well.
+        shared: Smallest amount, dimensionless: by how much every run departs from the fit that the amounts
+            start from.
+        explains: Whether the machine with these values explains the runs; otherwise something else is missing
+            as well.
     """
 
     quantity: Quantity
@@ -109,12 +114,12 @@ class RunDifferences(NamedTuple):
 
     @property
     def differs(self) -> bool:
-        """Whether the runs differ; otherwise the amounts are equal, and all runs need the same other value."""
+        """Whether the runs differ; otherwise amounts are equal, and all runs need the same other value."""
         return judge.amounts_differ(list(self.amounts.values()), self.shared)
 
     @property
     def drifts(self) -> bool:
-        """Whether the amounts only rise or only fall in the order of the runs' times, as in a slow change over time."""
+        """Whether the amounts only rise or only fall in the order of the runs, as in a slow change."""
         return judge.amounts_drift(list(self.amounts.values()))
 
     @property
@@ -167,8 +172,8 @@ class RunDifferences(NamedTuple):
 def find_run_differences(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> RunDifferences | None:
     """Find the quantity that explains all runs together if it has a separate value in each of them.
 
-    Each free parameter is tried alone, then quantities that change several parameters: the voltage of all drives, a
-    payload, the friction of all coordinates and the stiffness of all belts.
+    Each free parameter is tried alone, then quantities that change several parameters: the voltage of all
+    drives, a payload, the friction of all coordinates and the stiffness of all belts.
 
     Args:
         fitted: Machine from whose parameters the fits start, fitted to all runs or to those that agree.
@@ -176,9 +181,9 @@ def find_run_differences(fitted: Fit, data: Dataset, criteria: SelectionCriteria
         criteria: Decision thresholds for what explains the data.
 
     Returns:
-        The quantity with the smallest remaining error, if it explains the data and differs between the runs. None if
-        there is no such quantity, if one machine explains all runs, for fewer than three runs, or if the machine
-        diverges.
+        The quantity with the smallest remaining error, if it explains the data and differs between the runs.
+        None if there is no such quantity, if one machine explains all runs, for fewer than three runs, or if
+        the machine diverges.
     """
     found = [each for each in _compared(fitted, data, criteria) if each.explains and each.differs]
     return min(found, key=lambda each: each.chi2, default=None)
@@ -199,7 +204,7 @@ class RunDifferencesInWords(NamedTuple):
 def describe_run_differences(
     fitted: Fit, data: Dataset, criteria: SelectionCriteria
 ) -> RunDifferencesInWords:
-    """Describe the quantity that explains all runs with values of their own, or with a common one beyond its limits.
+    """Describe the quantity that explains all runs by values of their own, or by one beyond its limits.
 
     Args:
         fitted: Machine from whose parameters the fits start, fitted to all runs or to those that agree.
@@ -207,9 +212,10 @@ def describe_run_differences(
         criteria: Decision thresholds for what explains the data.
 
     Returns:
-        A sentence about a quantity that differs between the runs; if there is none, about a quantity that needs the
-        same other value in all runs. If no quantity explains the runs, one about the run that alone needs another value
-        of a quantity, provided that this explains nearly all of the error; otherwise nothing.
+        A sentence about a quantity that differs between the runs; if there is none, about a quantity that
+        needs the same other value in all runs. If no quantity explains the runs, one about the run that alone
+        needs another value of a quantity, provided that this explains nearly all of the error; otherwise
+        nothing.
     """
     found = _compared(fitted, data, criteria)
     explaining = [each for each in found if each.explains]
@@ -236,7 +242,7 @@ def best_by_run(fitted: Fit, data: Dataset) -> RunDifferences | None:
 
 
 def _compared(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> list[RunDifferences]:
-    """Return the most promising quantities with values of their own in each run, whether these differ or not."""
+    """Return the most promising quantities with values of their own in each run, equal or different."""
     if len(data.runs) < judge.MIN_RUNS_COMPARED:
         return []
     common = continue_fit(fitted, data, SEARCH_BANDWIDTH)
@@ -247,7 +253,8 @@ def _compared(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> list[R
         by_run = dataclasses.replace(common.error, cost=each.chi2 * data.count)
         return judge.explains_by_run(by_run, common.error, criteria)
 
-    # From the machine of the runs that agree: thresholds of effects may be lost in a compromise with a different run.
+    # From the machine of the runs that agree: thresholds of effects may be lost in a compromise with a
+    # different run.
     return [each._replace(explains=explains(each)) for each in _fits_by_run(fitted, data, common.chi2)]
 
 
@@ -280,8 +287,9 @@ def _quantities(machine: Machine, free: Sequence[FreeParameter]) -> list[Quantit
             found.append(Quantity(f"the {text}", dict.fromkeys(members, 1.0)))
     for some in [[drive] for drive in drives] + [drives] * (len(drives) > 1):
         of = "all drives" if len(some) > 1 else some[0]
-        # Less voltage acts like a smaller torque constant with the same product of torque and back-EMF constant, and
-        # larger voltages of effects, such as a dead band; a larger resistance like a smaller torque constant.
+        # Less voltage acts like a smaller torque constant with the same product of torque and back-EMF
+        # constant, and larger voltages of effects, such as a dead band; a larger resistance like a smaller
+        # torque constant.
         torque, emf = ({name: 1.0 for d in some if (name := f"{d}.{key}") in names} for key in ("Kt", "Ke"))
         if torque:
             inverse = [*emf, *_voltages_of_effects(machine, some, names)]
@@ -321,8 +329,9 @@ class _Expansion(NamedTuple):
 class _ModelByRun:
     """Residual of runs whose machines differ in one quantity.
 
-    The unknowns z (k + n,) are theta of the k common parameters and the amounts of the n runs. A run is simulated with
-    K parameters: torque constants that fits leave as declared, such as that of the first drive, may differ as well.
+    The unknowns z (k + n,) are theta of the k common parameters and the amounts of the n runs. A run is
+    simulated with K parameters: torque constants that fits leave as declared, such as that of the first
+    drive, may differ as well.
 
     Args:
         fitted: Machine from which the fits start, with its free parameters.

@@ -1,12 +1,13 @@
 """Fit parameters with another observer for each run, because the error of a model differs from run to run.
 
-Jitter of the clock, for example, acts where voltages change; a missing force acts where the machine moves. One observer
-for all runs is too slow for some of them and wastes information from the others. Observers and parameters are
-therefore chosen together, by maximum likelihood.
+Jitter of the clock, for example, acts where voltages change; a missing force acts where the machine moves.
+One observer for all runs is too slow for some of them and wastes information from the others. Observers and
+parameters are therefore chosen together, by maximum likelihood.
 
-Notation: theta (k,) are the optimizer's variables of the k free parameters. n is a run's number of measured values, c
-the sum of its squared innovations in units of the sensors' noise, and v the variance of the innovations of an exact
-machine in these units (`innovation_variance`). s = max(1, c / (n v)) is the factor by which their variance is larger.
+Notation: theta (k,) are the optimizer's variables of the k free parameters. n is a run's number of measured
+values, c the sum of its squared innovations in units of the sensors' noise, and v the variance of the
+innovations of an exact machine in these units (`innovation_variance`). s = max(1, c / (n v)) is the factor by
+which their variance is larger.
 """
 
 from __future__ import annotations
@@ -41,10 +42,10 @@ def fit_run_by_run(fitted: Fit, data: Dataset) -> Fit:
         fitted: Final fit at any observer bandwidth.
 
     Returns:
-        Fit of the same parameters. Its `observers` are those of the runs; its cost is that at the bandwidth of
-        `fitted`. `fitted` itself if no other observers are more likely, if the new machine simulates the runs much
-        worse (mean square errors that are, in the geometric mean over the runs, doubled), or if the time of a stage
-        that must deliver is used up.
+        Fit of the same parameters. Its `observers` are those of the runs; its cost is that at the bandwidth
+        of `fitted`. `fitted` itself if no other observers are more likely, if the new machine simulates the
+        runs much worse (mean square errors that are, in the geometric mean over the runs, doubled), or if the
+        time of a stage that must deliver is used up.
     """
     best, chosen = fitted, dict.fromkeys((run.name for run in data.runs), RunObserver(fitted.bandwidth))
     least = _loss(fitted, data, chosen)
@@ -91,7 +92,7 @@ def _losses(costs: Array, counts: Array, variances: Array) -> tuple[Array, Array
 
 
 def _loss(fitted: Fit, data: Dataset, observers: Observers) -> float:
-    """Return -2 log(likelihood x prior) of a fit, with a factor s of its own for every run, without constants."""
+    """Return -2 log(likelihood x prior) of a fit, with a factor s for every run, without constants."""
     counts = np.array([run.count for run in data.runs])
     bandwidths = np.array(_bandwidths(observers))
     total = float(fitted.theta @ prior_precision(fitted.free) @ fitted.theta)
@@ -106,10 +107,11 @@ def _loss(fitted: Fit, data: Dataset, observers: Observers) -> float:
 
 
 def _likeliest_observers(fitted: Fit, data: Dataset) -> Observers | None:
-    """Return the most likely observer of every run, by its name, with the parameters that these observers imply.
+    """Return each run's most likely observer, by its name, with the parameters that these observers imply.
 
-    Predictions are linearized around the fit once per bandwidth. From each bandwidth for all runs, one run after the
-    other takes the bandwidth that increases the likelihood, until none does. None if all linearizations diverge.
+    Predictions are linearized around the fit once per bandwidth. From each bandwidth for all runs, one run
+    after the other takes the bandwidth that increases the likelihood, until none does. None if all
+    linearizations diverge.
     """
     model = _LinearizedFits(fitted, data)
     starts = [[index] * len(data.runs) for index in range(len(model.bandwidths)) if model.usable[index].all()]
@@ -126,7 +128,8 @@ class _LinearizedFits:
 
     Attributes:
         bandwidths: Bandwidths of the observers, rad/s.
-        usable: Whether the prediction of a run at a bandwidth is finite near the fit, shape (bandwidths, runs).
+        usable: Whether the prediction of a run at a bandwidth is finite near the fit,
+            shape (bandwidths, runs).
     """
 
     def __init__(self, fitted: Fit, data: Dataset) -> None:
@@ -173,7 +176,7 @@ class _LinearizedFits:
         return float(losses.sum() + theta @ self._prior @ theta), inflation
 
     def improved(self, choice: Sequence[int]) -> list[int]:
-        """Change the bandwidth of single runs as long as the likelihood increases; return the indices of all runs.
+        """Change the bandwidth of single runs while the likelihood increases; return the indices of all runs.
 
         Args:
             choice: Index of the bandwidth of every run, from which the search starts.

@@ -1,37 +1,37 @@
-"""Fit a machine to logs that are slower than the controller, whose voltages between the rows are interpolated.
+"""Fit a machine to logs that are slower than the controller, with voltages interpolated between rows.
 
-A controller answers each rounding error of an encoder with a voltage that lasts until it reads the encoder again. In a
-slow log, interpolation spreads this voltage over the intervals on both sides of the row. The interpolated voltages then
-err by some 20 mV, and least squares fail in three ways:
+A controller answers each rounding error of an encoder with a voltage that lasts until it reads the encoder
+again. In a slow log, interpolation spreads this voltage over the intervals on both sides of the row. The
+interpolated voltages then err by some 20 mV, and least squares fail in three ways:
 
-- The voltage before a row already contains the answer to the measurement of the row. Least squares take the correlation
-  of both for an effect of the voltage on the motion: pulleys seemed up to 13 % heavier. Therefore the residual must not
-  be orthogonal to the derivatives themselves, but to *instruments*: derivatives computed from smoothed voltages and
-  measurements, which follow the motion as well and hardly contain single rounding errors.
-- The errors of the voltages push the machine about, so that the residual is correlated in time and between sensors. An
-  autoregression makes it white, residual and derivatives alike.
+- The voltage before a row already contains the answer to the measurement of the row. Least squares take the
+  correlation of both for an effect of the voltage on the motion: pulleys seemed up to 13 % heavier. Therefore
+  the residual must not be orthogonal to the derivatives themselves, but to *instruments*: derivatives
+  computed from smoothed voltages and measurements, which follow the motion as well and hardly contain single
+  rounding errors.
+- The errors of the voltages push the machine about, so that the residual is correlated in time and between
+  sensors. An autoregression makes it white, residual and derivatives alike.
 - Where a voltage jumps between two rows, interpolation fails. Rows that it affects are left out.
 
 Both rows and autoregression follow from the residual, and are found anew after each step of the parameters.
 
-Instruments also tell how late the voltages act: the derivative with respect to their delay is one more regressor, and
-computed from smoothed voltages one more instrument (`excess_delay`).
+Instruments also tell how late the voltages act: the derivative with respect to their delay is one more
+regressor, and computed from smoothed voltages one more instrument (`excess_delay`).
 
-A fit to residuals that the statistics of the interpolation make white (`voltage_errors`) uses the data better, where
-these statistics are right; instruments need none. Both are fitted to half of the runs, and the weighted mean of their
-parameters that simulates the other half best is taken (stacking). With a choice of one of both, a difference of 1 %
-decided between 25 and 31 times the noise.
+A fit to residuals that the statistics of the interpolation make white (`voltage_errors`) uses the data
+better, where these statistics are right; instruments need none. Both are fitted to half of the runs, and the
+weighted mean of their parameters that simulates the other half best is taken (stacking). With a choice of one
+of both, a difference of 1 % decided between 25 and 31 times the noise.
 
-All of these fits are right if the voltages err as assumed. If they do not, each errs by another amount, because it
-weighs fast and slow errors otherwise; their deviations from the delivered parameters are a part of the covariance
-(`deviations_of_fits`), as a difference of two estimators shows a wrong specification.
+All of these fits are right if the voltages err as assumed. If they do not, each errs by another amount,
+because it weighs fast and slow errors otherwise; their deviations from the delivered parameters are a part of
+the covariance (`deviations_of_fits`), as a difference of two estimators shows a wrong specification.
 
 References:
     Hausman (1978), "Specification tests in econometrics".
-    Sawa (1973), "The mean square error of a combined estimator and numerical comparison with the TSLS estimator".
-    Breiman (1996), "Stacked regressions".
-    Söderström and Stoica (1983), "Instrumental Variable Methods for System Identification".
-    Ljung (1999), "System Identification", sections 7.5 and 13.4.
+    Sawa (1973), "The mean square error of a combined estimator and numerical comparison with the TSLS
+    estimator". Breiman (1996), "Stacked regressions". Söderström and Stoica (1983), "Instrumental Variable
+    Methods for System Identification". Ljung (1999), "System Identification", sections 7.5 and 13.4.
 """
 
 from __future__ import annotations
@@ -68,20 +68,21 @@ from .estimation import Fit, prediction_cost, prediction_costs
 from .model_error import continue_fit, search_step
 
 _ORDER = 12  # rows of the autoregression: errors of the voltages last as long as the belts vibrate
-# Rows of the cubics by which voltages and measurements are smoothed for the instruments: a single row counts 16 %.
-# Windows from 9 to 31 rows gave the same parameters.
+# Rows of the cubics by which voltages and measurements are smoothed for the instruments: a single row counts
+# 16 %. Windows from 9 to 31 rows gave the same parameters.
 _SMOOTHED_ROWS = 15
 _CHANCE = 1e-6  # probability that Gaussian errors exceed those at which a row is left out
 _ROWS_PER_COEFFICIENT = 10  # fewer rows do not determine an autoregression
 _ROUNDS = 10  # steps of the parameters, at most
-# Of theta, where the residual is not linear; a parameter that is no logarithm may also change by this part of itself.
-# A damping of belts that does not exist is 1 ms by least squares; in steps of 0.05 ms, no fit by instruments ended.
+# Of theta, where the residual is not linear; a parameter that is no logarithm may also change by this part of
+# itself. A damping of belts that does not exist is 1 ms by least squares; in steps of 0.05 ms, no fit by
+# instruments ended.
 _LONGEST_STEP = 0.5
 # Weights of the fit by instruments that are compared; more would not change its simulations.
 _WEIGHTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 _CONVERGED = 1.0  # decrease of the cost: that of one standard deviation
-# Change of the voltages' delay between steps, standard deviations: less than its own error. It follows from a step of
-# delay and parameters together, so that it is known before these converge.
+# Change of the voltages' delay between steps, standard deviations: less than its own error. It follows from a
+# step of delay and parameters together, so that it is known before these converge.
 _DELAY_CONVERGED = 0.5
 
 
@@ -89,7 +90,8 @@ class _Whitening(NamedTuple):
     """Autoregression that makes the residual of s sensors white, with unit variance.
 
     Attributes:
-        coefficients: Prediction of a row from the `_ORDER` rows before it, the latest first, shape (_ORDER * s, s).
+        coefficients: Prediction of a row from the `_ORDER` rows before it, the latest first,
+            shape (_ORDER * s, s).
         root: Inverse Cholesky factor of the covariance of its errors, shape (s, s).
     """
 
@@ -125,7 +127,8 @@ class _Equations(NamedTuple):
 
     Attributes:
         information: Shape (k, k).
-        by_block: The information of each block of 0.5 s, in which the residual may be correlated, shape (blocks, k, k).
+        by_block: The information of each block of 0.5 s, in which the residual may be correlated,
+            shape (blocks, k, k).
         scores: Gradient of each block, shape (blocks, k).
     """
 
@@ -152,8 +155,9 @@ class _Equations(NamedTuple):
     def covariance(self, prior: Array, theta: Array) -> tuple[Array, Array]:
         """Return the covariance of theta, and the change of theta by the delay that the residual indicates.
 
-        Their shapes are (k - 1, k - 1) and (k - 1,), if the last parameter is the voltages' delay. The parts of the
-        covariance are those of `covariance.with_uncertainty` without this change: residual, prior and times.
+        Their shapes are (k - 1, k - 1) and (k - 1,), if the last parameter is the voltages' delay. The parts
+        of the covariance are those of `covariance.with_uncertainty` without this change: residual, prior and
+        times.
         """
         known = self.without_delay()
         white = np.asarray(np.linalg.inv(known.information + prior), np.float64)
@@ -234,7 +238,7 @@ class _Models(NamedTuple):
         return principal_directions(information, prior_precision(self.measured.free))
 
     def linearize(self, theta: Array, directions: Array) -> list[_Linear]:
-        """Return the linearized residual of each run, and its instruments, by differences along directions."""
+        """Return each run's linearized residual, and its instruments, by differences along directions."""
         measured, smooth = (_differences(model, theta, directions) for model in self)
         return [
             _Linear(residual, jacobian, instruments)
@@ -243,7 +247,7 @@ class _Models(NamedTuple):
 
 
 def _differences(model: ResidualModel, theta: Array, directions: Array) -> list[tuple[Array, Array]]:
-    """Return residual, shape (1, n * s), and derivatives, (k, n * s), of each run by differences along directions."""
+    """Return residual, (1, n * s), and derivatives, (k, n * s), of runs by differences along directions."""
     point = model.at(theta)
     inverse = np.linalg.inv(directions)
 
@@ -257,20 +261,20 @@ def _differences(model: ResidualModel, theta: Array, directions: Array) -> list[
 def fit_slow_log(fitted: Fit, data: Dataset) -> Fit:
     """Fit a machine again by instruments, if the voltages of its runs are interpolated between the rows.
 
-    Instruments are derivatives of the predictions that do not contain the controller's answer to the rounding errors of
-    the rows, to which least squares adapt. The cost is the part of the residual that instruments can represent, plus
-    the prior (two-stage least squares); the residual is that of predictions with the observer of the search, made white
-    by an autoregression. The parameters are those of `fitted`, of this fit, or between both, whichever simulate
-    left-out runs best.
+    Instruments are derivatives of the predictions that do not contain the controller's answer to the rounding
+    errors of the rows, to which least squares adapt. The cost is the part of the residual that instruments
+    can represent, plus the prior (two-stage least squares); the residual is that of predictions with the
+    observer of the search, made white by an autoregression. The parameters are those of `fitted`, of this
+    fit, or between both, whichever simulate left-out runs best.
 
     Args:
         fitted: Final fit of a machine.
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Fit with the same observer. `fitted` itself if the voltages are held, the rows are too few, the steps do not
-        converge, the time of a stage that must deliver is used up, or instruments do not simulate left-out runs better
-        (`judge.observer.index_of_best_simulation`).
+        Fit with the same observer. `fitted` itself if the voltages are held, the rows are too few, the steps
+        do not converge, the time of a stage that must deliver is used up, or instruments do not simulate
+        left-out runs better (`judge.observer.index_of_best_simulation`).
     """
     if not data.has_voltage_errors or not _are_enough(data) or not goes_on():
         return fitted
@@ -287,8 +291,8 @@ def fit_by_instruments(fitted: Fit, data: Dataset) -> Fit | None:
         data: Runs that were fitted.
 
     Returns:
-        Fit with the covariance of the instruments; None if the voltages are held, the rows are too few, or the steps do
-        not converge.
+        Fit with the covariance of the instruments; None if the voltages are held, the rows are too few, or
+        the steps do not converge.
     """
     if not data.has_voltage_errors or not _are_enough(data):
         return None
@@ -297,7 +301,7 @@ def fit_by_instruments(fitted: Fit, data: Dataset) -> Fit | None:
 
 
 def _weight_of_instruments(fitted: Fit, data: Dataset) -> float:
-    """Return the weight of the fit by instruments with which each half of the runs simulates the other half best.
+    """Return the weight of the fit by instruments with which half of the runs simulates the other half best.
 
     Errors of the voltages add up in a simulation, and a fit adapts to those of its own runs.
     """
@@ -334,8 +338,8 @@ def deviations_of_fits(fitted: Fit, data: Dataset) -> Array:
         data: Runs that were fitted.
 
     Returns:
-        Deviations of the fits, shape (m, k); of none, shape (0, k), if the voltages are held, nothing was fitted (the
-        declared machine is delivered) or no time is left.
+        Deviations of the fits, shape (m, k); of none, shape (0, k), if the voltages are held, nothing was
+        fitted (the declared machine is delivered) or no time is left.
     """
     deviations = list[Array]()
     if data.has_voltage_errors and fitted.free:
@@ -351,13 +355,14 @@ def deviations_of_fits(fitted: Fit, data: Dataset) -> Array:
 def excess_delay(fitted: Fit, data: Dataset, start: ExcessDelay | None = None) -> ExcessDelay | None:
     """Estimate by instruments how much later the voltages act than the assumed number of their changes says.
 
-    Voltages that change n times a row and are held between the changes act later than continuous ones by 1 / (2 n)
-    sampling periods. The delay is estimated together with the parameters.
+    Voltages that change n times a row and are held between the changes act later than continuous ones by 1 /
+    (2 n) sampling periods. The delay is estimated together with the parameters.
 
     Args:
         fitted: Fit of a machine to these runs.
         data: Runs whose voltages change at least twice a row.
-        start: Result for another number of changes, whose parameters are the starting values. Default: those fitted.
+        start: Result for another number of changes, whose parameters are the starting values. Default: those
+            fitted.
 
     Returns:
         Delay; None if the rows are too few, the delay does not converge, or a prediction diverges.
@@ -411,7 +416,7 @@ def _equations_with_delay(fitted: Fit, theta: Array, data: Dataset) -> _Equation
 
 
 def _delay_derivatives(model: ResidualModel, theta: Array) -> list[Array]:
-    """Return the derivative of each run's residual with respect to the voltages' delay, 1/period, shape (1, n * s)."""
+    """Return the derivative of each run's residual by the voltages' delay, 1/period, shape (1, n * s)."""
     fewer, more = model.data.updates - 1, model.data.updates + 1
 
     def residuals_with(updates: int) -> list[Array]:
@@ -500,8 +505,8 @@ def _smoothed(run: PreparedRecording) -> PreparedRecording:
     """Return a run with smoothed voltages, measurements and times; missing measurements are interpolated.
 
     A controller differentiates the jitter of its clock, so that its voltages err with the time of each row.
-    Measurements that were smooth at unsmoothed times would contain that time, and be no instrument. A sensor that
-    measures nothing in the run, such as a laser beyond its range, has no smoothed measurements either.
+    Measurements that were smooth at unsmoothed times would contain that time, and be no instrument. A sensor
+    that measures nothing in the run, such as a laser beyond its range, has no smoothed measurements either.
     """
     outputs = run.known_outputs.copy()
     measured = np.isfinite(run.outputs)
@@ -526,7 +531,7 @@ def _earlier(rows: Array) -> Array:
 def _whitening(
     residuals: Sequence[Array], used: Sequence[NDArray[np.bool_]], sensors: int
 ) -> tuple[_Whitening, list[NDArray[np.bool_]]]:
-    """Fit the autoregression to the rows that are used, and find these: rows with errors that chance explains."""
+    """Fit the autoregression to the rows in use, and find these: rows with errors that chance explains."""
     limit = stats.chi2.isf(_CHANCE, sensors)
     rows = [residual.reshape(-1, sensors) for residual in residuals]
     regressors = np.concatenate([_earlier(of_run) for of_run in rows])
@@ -550,7 +555,7 @@ def _normal_equations(
     prior: Array,
     rows_per_block: int,
 ) -> _Equations:
-    """Return the normal equations of the white residual's part that instruments represent, for k parameters."""
+    """Return the normal equations of the white residual's part in instruments, for k parameters."""
     k = len(prior)
     products, of_runs = np.zeros((k, 2 * k)), []
     for of_run, kept in zip(linear, used, strict=True):

@@ -1,7 +1,7 @@
 """Estimate the state from which a run most probably began, given all of its measurements.
 
-The measurements at rest leave unknowns (`start_uncertainty`). The motion that follows depends on them and shows them,
-once a machine is known well enough.
+The measurements at rest leave unknowns (`start_uncertainty`). The motion that follows depends on them and
+shows them, once a machine is known well enough.
 """
 
 from __future__ import annotations
@@ -37,33 +37,35 @@ from .model_error import continue_fit, fit_with_model_error
 _ITERATIONS, _FRACTIONS, _DIFFERENCE = 6, np.array([1.0, 0.5, 0.25, 0.1]), 0.3
 _SMALLEST_DECREASE = 0.01  # of the cost per iteration, below which a descent ends
 _NOISE_ONLY = 1.2  # mean square error in units of the noise, above which other minima are looked for
-# Random displacements from which the search is repeated: their number, standard deviation, and how many of them are
-# followed over the first motion, then over the complete run, where the error is a more rugged function of the start.
+# Random displacements from which the search is repeated: their number, standard deviation, and how many of
+# them are followed over the first motion, then over the complete run, where the error is a more rugged
+# function of the start.
 _DRAWS, _DRAW_SPREAD, _FIRST_DESCENTS, _DESCENTS = 127, 1.5, 8, 3
-# Motion over which the minima of a long run are compared, rows and s, whichever is longer: two normal runs. Only the
-# best minimum is followed over the complete run, because a descent takes longer in proportion to it.
+# Motion over which the minima of a long run are compared, rows and s, whichever is longer: two normal runs.
+# Only the best minimum is followed over the complete run, because a descent takes longer in proportion to it.
 _LONGEST_ROWS, _LONGEST_MOTION = 10_000, 10.0
 _FIRST_MOTION = 0.3  # s after the rows at rest; several periods of the belts' vibration
 
-# Function from displacements of a start in units of their standard deviations, shape (B, displacements), to simulation
-# errors in units of the noise, shape (B, values).
+# Function from displacements of a start in units of their standard deviations, shape (B, displacements), to
+# simulation errors in units of the noise, shape (B, values).
 _Errors = Callable[[Array], Array]
 
 
 def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
     """Return the state from which a run most probably began, given all of its measurements.
 
-    It is the state of maximum posterior density: it fits the measurements and is near the state measured at rest.
-    An effect is a deviation from the nominal model. Some effects, such as hysteresis and bristle friction, have
-    states, which remember motion before the run.
+    It is the state of maximum posterior density: it fits the measurements and is near the state measured at
+    rest. An effect is a deviation from the nominal model. Some effects, such as hysteresis and bristle
+    friction, have states, which remember motion before the run.
 
     Args:
-        run: Run as `prepare` returns it: times, voltages, measurements minus the sensors' zeros, initial state.
+        run: Run as `prepare` returns it: times, voltages, measurements minus the sensors' zeros, initial
+            state.
         data: Data set of the run, for the sampling period and the sensors' quantization steps.
 
     Returns:
-        Positions (m, rad), velocities (m/s, rad/s) and states of the effects (SI), shape (2 * coordinates + effect
-        states,).
+        Positions (m, rad), velocities (m/s, rad/s) and states of the effects (SI),
+        shape (2 * coordinates + effect states,).
     """
     beginning = cache(run.first_rows)  # it keeps what predictions need of a run
 
@@ -83,23 +85,25 @@ def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: 
 def start_for_observer(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
     """Return the state from which the prediction by an observer (60 rad/s) needs the smaller corrections.
 
-    It is the measured one, or displaced by what the prediction itself makes most probable, to first order. The most
-    probable start of a simulation would take much longer, and is a worse one where the machine lacks much: the
-    simulation drifts.
+    It is the measured one, or displaced by what the prediction itself makes most probable, to first order.
+    The most probable start of a simulation would take much longer, and is a worse one where the machine lacks
+    much: the simulation drifts.
 
     Args:
         run: Run to predict, n samples.
         data: Data set of the run, for the sampling period and the sensors' quantization steps.
 
     Returns:
-        Positions (m, rad), velocities (m/s, rad/s), effect states (SI), shape (2 * coordinates + effect states,).
+        Positions (m, rad), velocities (m/s, rad/s), effect states (SI),
+        shape (2 * coordinates + effect states,).
     """
     start = uncertain_starts(machine, [run])[run.name]
     if not len(start.displacements):
         return start.state
     motion = predict_with_displaced_starts(machine, run, SEARCH_BANDWIDTH, start, period=data.period)
     errors = residuals(run, data, motion.readings)
-    # A model error reduces the weight of the data, so that a wrong machine cannot explain its error by the start.
+    # A model error reduces the weight of the data, so that a wrong machine cannot explain its error by the
+    # start.
     errors /= max(1.0, float(np.sqrt(np.mean(errors[0] ** 2))))
     displaced = start.state + probable_amounts(errors[0], errors[1:], start.differences) @ start.displacements
 
@@ -111,13 +115,14 @@ def start_for_observer(machine: Machine, run: PreparedRecording, data: Dataset) 
 
 
 def refine_dataset(data: Dataset, machine: Machine, reference: Dataset | None = None) -> Dataset:
-    """Copy a data set, with the values corrected that were estimated from the recordings without a fitted machine.
+    """Copy a data set, with corrections of values estimated from the recordings without a fitted machine.
 
-    - Zeros of encoders (measurements at position 0): forces that stretch the belts at rest falsify their estimate.
+    - Zeros of encoders (measurements at position 0): forces that stretch the belts at rest falsify their
+      estimate.
     - Voltages in rows that the logger dropped, which were interpolated: see `estimate_lost_voltages`.
     - Initial states, if they were estimated (`refine_starts`) with another machine.
-    - Initial states of effects that remember motion before the recording, such as hysteresis. They must be close to the
-      true ones, because a fit linearizes the influence of their uncertainty.
+    - Initial states of effects that remember motion before the recording, such as hysteresis. They must be
+      close to the true ones, because a fit linearizes the influence of their uncertainty.
 
     Args:
         machine: Fitted machine with its effects.
@@ -125,8 +130,8 @@ def refine_dataset(data: Dataset, machine: Machine, reference: Dataset | None = 
             Default: `data`.
 
     Returns:
-        Copy with corrected initial states, voltages, and measurements minus the corrected zeros; `data` itself if there
-        is nothing to correct.
+        Copy with corrected initial states, voltages, and measurements minus the corrected zeros; `data`
+        itself if there is nothing to correct.
     """
     estimated = any(len(run.initial.start_offset) for run in data.runs)  # by another machine
     data = estimate_lost_voltages(refine_encoder_zeros(data, machine, reference), machine)
@@ -145,8 +150,8 @@ def refine_dataset(data: Dataset, machine: Machine, reference: Dataset | None = 
 def refine_starts(data: Dataset, machine: Machine) -> Dataset:
     """Copy a data set, with the initial states from which a fitted machine most probably started.
 
-    A fit linearizes the influence of an uncertain start. That is inaccurate where the start is far from the assumed
-    one, because friction determines whether a belt's stretch is released or held.
+    A fit linearizes the influence of an uncertain start. That is inaccurate where the start is far from the
+    assumed one, because friction determines whether a belt's stretch is released or held.
 
     Args:
         machine: Fitted machine with its effects.
@@ -199,30 +204,36 @@ def most_probable_start(
 ) -> Array:
     """Return the state from which a run most probably began, given all of its measurements.
 
-    It is the state of maximum posterior density. It minimizes the sum of squared simulation errors in units of the
-    noise plus the sum of squared displacements from the measured state in units of their standard deviations. The
-    squared errors of an inaccurate model are first divided by their mean if it exceeds 1.
+    It is the state of maximum posterior density. It minimizes the sum of squared simulation errors in units
+    of the noise plus the sum of squared displacements from the measured state in units of their standard
+    deviations. The squared errors of an inaccurate model are first divided by their mean if it exceeds 1.
 
-    Friction makes the sum of squares a function with many minima: the held stretch of a belt is released in one and not
-    in another. If the minimum next to the measured state leaves more than noise, 127 random states (fixed seed) are
-    compared over the first motion, where minima are fewer, and the best of them are followed over the complete run.
-    In a long run, the first 10 s of motion, at least 10,000 rows, decide which of them is followed to its end.
+    Friction makes the sum of squares a function with many minima: the held stretch of a belt is released in
+    one and not in another. If the minimum next to the measured state leaves more than noise, 127 random
+    states (fixed seed) are compared over the first motion, where minima are fewer, and the best of them are
+    followed over the complete run. In a long run, the first 10 s of motion, at least 10,000 rows, decide
+    which of them is followed to its end.
 
     Args:
-        machine: Machine to simulate. Its effects may have states that remember earlier motion, such as hysteresis.
+        machine: Machine to simulate. Its effects may have states that remember earlier motion, such as
+            hysteresis.
         initial: Measured initial state of the run.
-        state: Positions (m, rad), then velocities (m/s, rad/s), by the measurements at rest, shape (2 * coordinates,).
-        errors: Function that simulates the first rows of the run from states, shape (B, 2 * coordinates + effect
-            states), and returns measured minus simulated values in units of the noise, shape (B, values), not finite
-            where the simulation diverges. Its second argument is the number of rows.
+        state: Positions (m, rad), then velocities (m/s, rad/s), by the measurements at rest,
+            shape (2 * coordinates,).
+        errors: Function that simulates the first rows of the run from states,
+            shape (B, 2 * coordinates + effect states), and returns measured minus simulated values in units
+            of the noise, shape (B, values), not finite where the simulation diverges. Its second argument is
+            the number of rows.
         time_s: Sample times of the run, s, shape (n,).
 
     Returns:
         Positions (m, rad), velocities (m/s, rad/s) and effect states (SI), shape (2 * coordinates + effect
-        states,). If nothing is uncertain or the simulation diverges: `state` itself, with effect states of zero.
+        states,). If nothing is uncertain or the simulation diverges: `state` itself, with effect states of
+        zero.
 
     References:
-        Nocedal and Wright (2006), "Numerical optimization", chapter 10 (Gauss-Newton method with a line search).
+        Nocedal and Wright (2006), "Numerical optimization", chapter 10 (Gauss-Newton method with a line
+        search).
     """
     (displacements,) = start_displacements(machine, [initial])
     state = np.pad(state, (0, displacements.shape[1] - len(state)))
@@ -253,7 +264,7 @@ def most_probable_start(
 
 
 class _Minimum(NamedTuple):
-    """Displacements of a start in units of their standard deviations, and the squared errors of the simulation.
+    """Displacements of a start in units of their standard deviations, and the simulation's squared errors.
 
     Attributes:
         amounts: Displacements, shape (displacements,).
@@ -285,7 +296,7 @@ def _most_probable_first(minima: list[_Minimum]) -> list[_Minimum]:
 
 
 def _descend(errors_at: _Errors, amounts: Array) -> _Minimum:
-    """Find the minimum next to displacements, shape (displacements,), by Gauss-Newton steps with a line search."""
+    """Find the minimum near displacements, shape (displacements,), by Gauss-Newton steps with line search."""
     best, squares, size, count = amounts, np.inf, 1, len(amounts)
     differences = _DIFFERENCE * np.vstack([np.zeros((1, count)), np.eye(count), -np.eye(count)])
     for _ in range(_ITERATIONS):

@@ -1,11 +1,12 @@
 """Find out whether the voltages change between the rows of a log, from the motion.
 
-A controller that is faster than the log changes the voltages several times from one row to the next. The log does not
-say so, but the motion does: voltages that are held from row to row act late, by up to half a sampling period. A machine
-is therefore fitted with held voltages, then with voltages that are interpolated and change twice a row and, unless that
-gains little, four, eight and sixteen times, while the error falls. If that reduces the error clearly, the changes are
-counted by the delay that instruments find (`slow_logs.excess_delay`). No more changes are tried than the search for
-effects has integration steps: in a log at 3200 Hz none, because its rows are closer than two steps.
+A controller that is faster than the log changes the voltages several times from one row to the next. The log
+does not say so, but the motion does: voltages that are held from row to row act late, by up to half a
+sampling period. A machine is therefore fitted with held voltages, then with voltages that are interpolated
+and change twice a row and, unless that gains little, four, eight and sixteen times, while the error falls. If
+that reduces the error clearly, the changes are counted by the delay that instruments find
+(`slow_logs.excess_delay`). No more changes are tried than the search for effects has integration steps: in a
+log at 3200 Hz none, because its rows are closer than two steps.
 """
 
 from __future__ import annotations
@@ -39,8 +40,9 @@ from .estimation import Fit, fit, prediction_costs
 from .model_error import continue_fit, search_step
 from .slow_logs import ExcessDelay, excess_delay
 
-# Gain by any number of changes relative to that by two. Voltages that change n times a row act late by 1 / (2 n)
-# sampling periods: two changes remove half of the delay of held ones, and with it more than half of its squared error.
+# Gain by any number of changes relative to that by two. Voltages that change n times a row act late by 1 / (2
+# n) sampling periods: two changes remove half of the delay of held ones, and with it more than half of its
+# squared error.
 _MOST_FURTHER_GAIN = 2.0
 # Changes a row: each acts late by half of what the one before does. Instruments count what lies between.
 _TRIALS = (2, 4, 8, 16)
@@ -55,7 +57,8 @@ _ERRS = (
 )
 _SUFFICES = "they are so smooth that simulations err less by this than by the sensors' noise"
 
-# What instruments find with a number of changes a row, if anything; they may begin at what they found with another one.
+# What instruments find with a number of changes a row, if anything; they may begin at what they found with
+# another one.
 MeasuredExcess = Callable[[int, ExcessDelay | None], ExcessDelay | None]
 
 
@@ -87,7 +90,7 @@ class VoltageUpdates(NamedTuple):
 
 
 def describe_interpolation(machine: Machine, data: Dataset) -> str:
-    """Describe for the user how good interpolated voltages are, and what gives better ones; a clause without a point.
+    """Say for the user how good interpolated voltages are, and what gives better ones, without a full stop.
 
     Args:
         machine: Machine, refitted to these runs.
@@ -102,14 +105,14 @@ def describe_interpolation(machine: Machine, data: Dataset) -> str:
 
 
 def other_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> VoltageUpdates | None:
-    """Check how often the voltages change from one row to the next; an effect that was missing had a larger error.
+    """Check how often the voltages change per row; an effect that was missing had a larger error.
 
     Args:
         fitted: Fit of a machine with effects to the runs.
 
     Returns:
-        The number of changes if it is clearly another one than the predictions assume, else None. An earlier search
-        that rejected that number holds unless it knew fewer effects, without which the count is wrong.
+        The number of changes if it is clearly another one than the predictions assume, else None. An earlier
+        search that rejected that number holds unless it knew fewer effects, without which the count is wrong.
     """
     count = _counted_again if data.has_voltage_errors else voltage_updates
     updates = count(fitted, data, criteria)
@@ -120,7 +123,7 @@ def other_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> Vo
 
 
 def _counted_again(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> VoltageUpdates | None:
-    """Return another number of changes of interpolated voltages that the error confirms, None if there is none."""
+    """Return another number of changes of interpolated voltages that the error confirms, or None."""
     if _has_timing(fitted.machine):
         return _counted_beside_delay(fitted, data, criteria)
     excess = excess_delay(fitted, data)
@@ -132,7 +135,8 @@ def _counted_again(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> V
     at_end = data.updates == most_updates(data)
     if not clear and not at_end:
         return None
-    # Instruments need voltages that change; that they are held follows from the delay with the fewest changes.
+    # Instruments need voltages that change; that they are held follows from the delay with the fewest
+    # changes.
     nearest = _number_with_delay(0.5 / data.updates + excess.periods, 1, most_updates(data))
     held_after_all = clear and (data.updates, nearest) == (_FEWEST_UPDATES, 1)
     per_row = 1 if held_after_all else count_updates(fitted, data, excess)
@@ -159,10 +163,10 @@ def _counted_again(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> V
 
 
 def _counted_beside_delay(delayed: Fit, data: Dataset, criteria: SelectionCriteria) -> VoltageUpdates | None:
-    """Return another number of changes that explains more beside a delay or lag of the drives, None if there is none.
+    """Return another number of changes that explains more beside a delay or lag of the drives, or None.
 
-    Such an effect makes up for the delay of any number of changes, so that instruments tell nothing; what is left is
-    how smoothly the voltages change.
+    Such an effect makes up for the delay of any number of changes, so that instruments tell nothing; what is
+    left is how smoothly the voltages change.
 
     Args:
         delayed: Fit of a machine whose drives have a delay or lag.
@@ -178,8 +182,8 @@ def _counted_beside_delay(delayed: Fit, data: Dataset, criteria: SelectionCriter
 def _with_fewest_changes(delayed: Fit, data: Dataset, criteria: SelectionCriteria) -> tuple[int, Fit]:
     """Return the number of changes of which no other one explains clearly more beside a delay of the drives.
 
-    Errors prefer too many changes. They are therefore doubled only while that reduces the error by as much as an effect
-    must, and halved if not even one doubling does.
+    Errors prefer too many changes. They are therefore doubled only while that reduces the error by as much as
+    an effect must, and halved if not even one doubling does.
 
     Args:
         delayed: Fit of a machine whose drives have a delay or lag, to these runs.
@@ -195,14 +199,14 @@ def _with_fewest_changes(delayed: Fit, data: Dataset, criteria: SelectionCriteri
 def number_with_clear_gains(
     start: Fit, number: int, most: int, again: Callable[[Fit, int, float], Fit], criteria: SelectionCriteria
 ) -> tuple[int, Fit]:
-    """Double a number of changes while that clearly reduces the error, or halve it if not even one doubling does.
+    """Double a number of changes while that clearly reduces the error, or halve it if no doubling does.
 
     Args:
         start: Fit with the given number.
         number: Number of changes a row, at least 2.
         most: Largest number.
-        again: Function that continues a fit with another number, down to a cost (dimensionless) above which it is of no
-            use.
+        again: Function that continues a fit with another number, down to a cost (dimensionless) above which
+            it is of no use.
         criteria: Decision thresholds of `required_gain`.
 
     Returns:
@@ -254,14 +258,15 @@ def _with_delay(fitted: Fit, data: Dataset, *, start: float = 0.0, goal: float =
 
 
 def _has_timing(machine: Machine) -> bool:
-    """Return whether drives of a machine act later than their voltages, by a delay or lag that is known already."""
+    """Return whether drives of a machine act later than their voltages, by a delay or lag known already."""
     return any(is_timing(effect.definition) for effect in machine.effects)
 
 
 def is_timing(effect: Effect) -> bool:
     """Return whether an effect delays the voltages or lets the currents lag behind them.
 
-    The current that lags is the state itself; heat or a sagging supply change the current that follows at once.
+    The current that lags is the state itself; heat or a sagging supply change the current that follows at
+    once.
     """
     lags = effect.current is not None and effect.next_state is not None
     return effect.delay is not None or (lags and "i" not in argument_names(effect.current))
@@ -270,18 +275,18 @@ def is_timing(effect: Effect) -> bool:
 def count_updates(fitted: Fit, data: Dataset, excess: ExcessDelay | None = None) -> int:
     """Count the changes of the voltages from one row to the next.
 
-    Voltages that change n times a row act later than continuous ones by 1 / (2 n) sampling periods, and instruments
-    tell by how much they act later or earlier than assumed. The error itself tells it less well: voltages that act
-    earlier contain more of the controller's answer to the rounding error of the next row, so that fits find too many
-    changes.
+    Voltages that change n times a row act later than continuous ones by 1 / (2 n) sampling periods, and
+    instruments tell by how much they act later or earlier than assumed. The error itself tells it less well:
+    voltages that act earlier contain more of the controller's answer to the rounding error of the next row,
+    so that fits find too many changes.
 
     Args:
         data: Runs with a first number of changes, at least 2.
         excess: What instruments find with that number, if it is known already.
 
     Returns:
-        The number, from 2 to `most_updates`, whose delay is closest to the one that instruments find; the first one if
-        they find none.
+        The number, from 2 to `most_updates`, whose delay is closest to the one that instruments find; the
+        first one if they find none.
     """
     most = most_updates(data)
     if most <= _FEWEST_UPDATES:
@@ -296,7 +301,7 @@ def count_updates(fitted: Fit, data: Dataset, excess: ExcessDelay | None = None)
 def number_with_least_excess(
     number: int, most: int, excess: ExcessDelay | None, measured: MeasuredExcess
 ) -> int:
-    """Count the changes of the voltages from one row to the next by how much later they act than a number says.
+    """Count the changes of the voltages between rows by how much later they act than a number says.
 
     Args:
         number: A first number of changes, at least 2.
@@ -311,7 +316,8 @@ def number_with_least_excess(
         nearest = _number_with_delay(0.5 / number + excess.periods, _FEWEST_UPDATES, most)
         if nearest == number:
             break
-        # Where effects are missing, the estimate depends on the number itself, and the one beside may be better.
+        # Where effects are missing, the estimate depends on the number itself, and the one beside may be
+        # better.
         for trial in dict.fromkeys((nearest, number + (1 if nearest > number else -1))):
             found = measured(trial, excess)
             if found is not None and abs(found.periods) < abs(excess.periods):
@@ -327,9 +333,9 @@ def number_with_least_excess(
 def _number_without_excess(number: int, most: int, excess: ExcessDelay, measured: MeasuredExcess) -> int:
     """Return the number of changes a row at which instruments find neither a later nor an earlier action.
 
-    By how much the voltages act later depends on the number itself, and is too small where errors of the voltages pass
-    for delays that alternate. Its sign tells whether there are fewer changes or more. Their number is halved or doubled
-    until the sign changes, and the numbers between are bisected.
+    By how much the voltages act later depends on the number itself, and is too small where errors of the
+    voltages pass for delays that alternate. Its sign tells whether there are fewer changes or more. Their
+    number is halved or doubled until the sign changes, and the numbers between are bisected.
 
     Args:
         number: Number of changes that is clearly wrong.
@@ -363,7 +369,7 @@ def _number_without_excess(number: int, most: int, excess: ExcessDelay, measured
 
 
 def _number_with_delay(periods: float, fewest: int, most: int) -> int:
-    """Return the number of changes a row with which voltages act later by about that many sampling periods."""
+    """Return the number of changes a row that lets voltages act later by about that many sampling periods."""
     return min(range(fewest, most + 1), key=lambda number: abs(0.5 / number - periods))
 
 
@@ -391,8 +397,9 @@ def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
 def _changing_beside_delay(held: Fit, data: Dataset, criteria: SelectionCriteria) -> VoltageUpdates | None:
     """Return how often the voltages change between the rows if drives act as late as held voltages do.
 
-    Held voltages act late by half a sampling period, and so do voltages that change between the rows of drives with a
-    delay or lag. Both are compared with the delay as a parameter; None if the voltages may be held.
+    Held voltages act late by half a sampling period, and so do voltages that change between the rows of
+    drives with a delay or lag. Both are compared with the delay as a parameter; None if the voltages may be
+    held.
 
     Args:
         held: Fit with voltages that are held from row to row.
@@ -429,15 +436,15 @@ def _change(held: Fit, changing: Fit, data: Dataset, criteria: SelectionCriteria
 
 
 def can_show_updates(data: Dataset) -> bool:
-    """Return whether the motion can show that the voltages change between the rows: rows far apart, without rests."""
+    """Return whether motion can show that voltages change between the rows: rows far apart, without rests."""
     return most_updates(data) > 1 and may_change_between_rows(successive_changes(data))
 
 
 def most_updates(data: Dataset) -> int:
     """Return up to how many changes of the voltages from one row to the next are told apart.
 
-    Changes that follow each other faster than the integration steps of the search (0.25 ms) move the voltages by less
-    than half a step, but multiply the steps of every simulation.
+    Changes that follow each other faster than the integration steps of the search (0.25 ms) move the voltages
+    by less than half a step, but multiply the steps of every simulation.
 
     Args:
         data: Runs, whose sampling period counts.
@@ -449,7 +456,7 @@ def most_updates(data: Dataset) -> int:
 
 
 def successive_changes(data: Dataset) -> float:
-    """Return the fraction of the changes of the inputs from row to row that follow a change in the row before.
+    """Return the fraction of the changes of the inputs from row to row that follow one in the row before.
 
     Rows that the logger dropped, whose inputs are not known, show neither changes nor rests.
     """
@@ -463,7 +470,7 @@ def successive_changes(data: Dataset) -> float:
 
 
 def _least_error(held: Fit, data: Dataset, promising: float) -> tuple[int, Fit]:
-    """Return which trial number of changes has the least error, and its fit; a fit with held voltages is given.
+    """Return the number of changes with the least error, and its fit; a fit with held voltages is given.
 
     More than two are tried only if two reduce chi-squared per sample by the promising gain.
     """

@@ -1,1 +1,1 @@
-"""Forces along the recorded motion: what a model lacks of them, how large they are, on what they may depend."""
+"""Forces along the recorded motion: what a model lacks of them, how large they are, what they depend on."""

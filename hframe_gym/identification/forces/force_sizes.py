@@ -42,8 +42,9 @@ def effect_force(machine: Machine, effect: AppliedEffect, data: Dataset) -> floa
         data: Runs over which the machine is predicted.
 
     Returns:
-        sqrt(mean over time of the sum of F^2 over the coordinates), N, with the effect's force F at the belt (torque /
-        pulley radius); infinite for an effect that adds coordinates or changes a measurement or the clock.
+        sqrt(mean over time of the sum of F^2 over the coordinates), N, with the effect's force F at the belt
+        (torque / pulley radius); infinite for an effect that adds coordinates or changes a measurement or the
+        clock.
     """
     definition = effect.definition
     if definition.structure or definition.measurement or definition.measurement_delay or definition.clock:
@@ -55,8 +56,8 @@ def effect_force(machine: Machine, effect: AppliedEffect, data: Dataset) -> floa
 def force_difference(first: Machine, second: Machine, data: Dataset) -> float:
     """Return the root mean square difference between the forces of two machines along the same motion.
 
-    If the second machine has one more effect and was refitted, this is the part of the effect's force that other values
-    of the first machine's parameters cannot reproduce.
+    If the second machine has one more effect and was refitted, this is the part of the effect's force that
+    other values of the first machine's parameters cannot reproduce.
 
     Args:
         first: Machine whose predicted motion is used.
@@ -64,8 +65,8 @@ def force_difference(first: Machine, second: Machine, data: Dataset) -> float:
         data: Runs over which the motion is predicted.
 
     Returns:
-        sqrt(mean over time of the sum of F^2 over the coordinates), N, with the force F of each coordinate at the belt
-        (torque / pulley radius).
+        sqrt(mean over time of the sum of F^2 over the coordinates), N, with the force F of each coordinate at
+        the belt (torque / pulley radius).
     """
 
     def of_run(run: PreparedRecording) -> Array:
@@ -78,14 +79,14 @@ def force_difference(first: Machine, second: Machine, data: Dataset) -> float:
 
 
 def drive_force(machine: Machine, data: Dataset) -> float:
-    """Return the root mean square force that the voltages of the recordings cause in the drives, without back-EMF.
+    """Return the root mean square force that the recorded voltages cause in the drives, without back-EMF.
 
     Args:
         data: Runs with the voltages.
 
     Returns:
-        sqrt(mean over time of the sum of F^2 over the drives), N, with the force F of each drive at the belt (torque /
-        pulley radius).
+        sqrt(mean over time of the sum of F^2 over the drives), N, with the force F of each drive at the belt
+        (torque / pulley radius).
     """
     gains = [drive.gain / machine.coordinate(drive.coordinate).travel_per_unit for drive in machine.drives]
     return force_size(np.concatenate([run.inputs for run in data.runs]) * gains)
@@ -106,15 +107,16 @@ def force_size(force: Array) -> float:
 def residue_force(fitted: Fit, data: Dataset) -> float:
     """Return the root mean square force that a fitted model lacks during the recordings.
 
-    An observer corrects the predicted velocities by the measurements. The lacking force is mass * correction / sampling
-    period. The mean square that the sensors' noise causes is subtracted from its mean square.
+    An observer corrects the predicted velocities by the measurements. The lacking force is mass * correction
+    / sampling period. The mean square that the sensors' noise causes is subtracted from its mean square.
 
     Args:
-        fitted: Fitted machine with its observer bandwidth. For a fit in simulation (0), an observer of 3 rad/s is used.
+        fitted: Fitted machine with its observer bandwidth. For a fit in simulation (0), an observer of 3
+            rad/s is used.
 
     Returns:
-        sqrt(mean over time of the sum of F^2 over the coordinates), N, with the force F of each coordinate at the belt
-        (torque / pulley radius).
+        sqrt(mean over time of the sum of F^2 over the coordinates), N, with the force F of each coordinate at
+        the belt (torque / pulley radius).
     """
     # The narrowest observer measures it where none is needed.
     bandwidth = max(fitted.bandwidth, BANDWIDTHS[-2])
@@ -122,18 +124,18 @@ def residue_force(fitted: Fit, data: Dataset) -> float:
 
 
 def lacking_force(machine: Machine, data: Dataset) -> float | None:
-    """Return the root mean square force that a machine lacks during recordings, relative to the force of the drives.
+    """Return the rms force that a machine lacks during recordings, relative to the force of the drives.
 
-    It is the force of `residue_force` for the widest observer, which tolerates any error of the machine. Only the noise
-    of the sensors at rest is subtracted: jitter of the clock is an estimate from the motion, and an error of the model
-    or a sensor that repeats its measurements may be mistaken for it.
+    It is the force of `residue_force` for the widest observer, which tolerates any error of the machine. Only
+    the noise of the sensors at rest is subtracted: jitter of the clock is an estimate from the motion, and an
+    error of the model or a sensor that repeats its measurements may be mistaken for it.
 
     Args:
         data: Runs, for example held-out ones.
 
     Returns:
-        Ratio of root mean squares, dimensionless; infinite if no voltage is applied or the machine diverges; None if no
-        sensor shows the direction of a motion, so that no observer can correct a prediction.
+        Ratio of root mean squares, dimensionless; infinite if no voltage is applied or the machine diverges;
+        None if no sensor shows the direction of a motion, so that no observer can correct a prediction.
     """
     if not machine.shows_direction:
         return None
@@ -147,10 +149,11 @@ def lacking_force(machine: Machine, data: Dataset) -> float | None:
 def _observed_force(
     machine: Machine, data: Dataset, bandwidth: float, noise_of: Callable[[PreparedRecording], Array]
 ) -> float:
-    """Return the rms force by which an observer corrects predictions, N, beyond what noise (n, sensors) causes."""
+    """Return the rms force of an observer's corrections, N, beyond what noise (n, sensors) causes."""
     velocity_gains = observer_gains(machine, data.period, bandwidth)[len(machine.coordinates) :]
     mass = np.array([c.mass for c in machine.coordinates])
-    # Velocity correction per sample -> acceleration -> force at the belt, per unit of each sensor's innovation.
+    # Velocity correction per sample -> acceleration -> force at the belt, per unit of each sensor's
+    # innovation.
     force_gains = velocity_gains.T / data.period * mass / machine.travel_per_unit  # (sensors, coordinates)
 
     remembers = bool(np.any(effect_state_spreads(machine) > 0.0))
@@ -176,9 +179,10 @@ def _errors(machine: Machine, run: PreparedRecording, data: Dataset, bandwidth: 
 def _errors_from_probable_start(
     machine: Machine, run: PreparedRecording, data: Dataset, bandwidth: float
 ) -> Array:
-    """Return the same for a machine whose effects remember what was before the run, from the start that a fit assumes.
+    """Return the same for a machine with effects that remember the time before, from a fit's start.
 
-    Otherwise the heat of a winding at the start, say, would act throughout the run as a force that the model lacks.
+    Otherwise the heat of a winding at the start, say, would act throughout the run as a force that the model
+    lacks.
     """
     start = uncertain_starts(machine, [run])[run.name]
     motion = predict_with_displaced_starts(

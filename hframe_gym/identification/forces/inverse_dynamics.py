@@ -1,4 +1,4 @@
-"""The error of the drives' force: that of the voltages beside the one that the model needs for the measured motion."""
+"""The error of the drives' force: that of the voltages beside the one that the measured motion needs."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from ...recordings import GAP_PERIODS, bridge_blanks
 # As in the EMPS benchmark (Janot, Gautier and Brunot 2019).
 _FORCE_CUTOFF = 100.0  # Hz
 _FORCE_DECIMATION = 10
-# Inertial force that the noise of the sensors may cause, of the drives' rms force. The ball-screw axis of the EMPS
-# benchmark resolves more than 100 Hz, encoders of some hundred lines a turn 10 to 30 Hz.
+# Inertial force that the noise of the sensors may cause, of the drives' rms force. The ball-screw axis of the
+# EMPS benchmark resolves more than 100 Hz, encoders of some hundred lines a turn 10 to 30 Hz.
 _RESOLVED_FORCE = 0.5
 _LOWEST_CUTOFF = 2.0  # Hz; what is slower is friction and load, and hardly any motion of a machine
 _FILTER_TRANSIENT_S = 0.05
@@ -30,25 +30,25 @@ _CREEP = 1e-12  # m/s or rad/s; a velocity that has a direction only
 def force_error(machine: Machine, data: Dataset) -> float | None:
     """Return the relative error of the drives' force: rms(F_drive - F_model) / rms(F_drive).
 
-    F_drive follows from the voltages. F_model is the force that the machine needs for the motion that the least noisy
-    sensor of each coordinate measured (inverse dynamics). Positions are interpolated at regular times by cubic splines,
-    since a filter of irregular rows bends the motion, low-pass filtered at 100 Hz without phase lag
-    and differentiated centrally; forces are decimated by ten. If the noise of the sensors would cause an inertial force
-    of more than half of that of the drives, positions and forces are filtered at the highest frequency at which it
-    does not: what a coarse sensor does not resolve says nothing about the machine. Where the motion is too slow for the
-    sensor to resolve, dry friction may have any value within its limits, and the one that makes the error smallest is
-    used.
+    F_drive follows from the voltages. F_model is the force that the machine needs for the motion that the
+    least noisy sensor of each coordinate measured (inverse dynamics). Positions are interpolated at regular
+    times by cubic splines, since a filter of irregular rows bends the motion, low-pass filtered at 100 Hz
+    without phase lag and differentiated centrally; forces are decimated by ten. If the noise of the sensors
+    would cause an inertial force of more than half of that of the drives, positions and forces are filtered
+    at the highest frequency at which it does not: what a coarse sensor does not resolve says nothing about
+    the machine. Where the motion is too slow for the sensor to resolve, dry friction may have any value
+    within its limits, and the one that makes the error smallest is used.
 
     Args:
-        data: Measured runs. Missing measurements are interpolated between measurements up to 5 ms apart (half a period
-            of the filter; more if rows are more than 3 ms apart). Rows near longer gaps are not used, nor runs of fewer
-            than 20 rows.
+        data: Measured runs. Missing measurements are interpolated between measurements up to 5 ms apart (half
+            a period of the filter; more if rows are more than 3 ms apart). Rows near longer gaps are not
+            used, nor runs of fewer than 20 rows.
 
     Returns:
-        Error over all rows that are used, dimensionless. None if the machine has belts, if a coordinate lacks a drive
-        or a sensor that measures only this coordinate, if an effect other than a delay changes what this sensor
-        measures, if no row is used, if F_drive is zero in all of them, or if the sensors resolve forces below 2 Hz
-        only.
+        Error over all rows that are used, dimensionless. None if the machine has belts, if a coordinate lacks
+        a drive or a sensor that measures only this coordinate, if an effect other than a delay changes what
+        this sensor measures, if no row is used, if F_drive is zero in all of them, or if the sensors resolve
+        forces below 2 Hz only.
 
     References:
         Janot, Gautier and Brunot (2019), the EMPS benchmark.
@@ -88,10 +88,10 @@ def _compared_forces(
     resolved: float,
     sensor_delays: Mapping[str, float],
 ) -> tuple[Array, Array] | None:
-    """Return the forces of the drives and of the model, N or Nm, at every tenth row, (rows, coordinates) each.
+    """Return the forces of drives and model, N or Nm, at every tenth row, (rows, coordinates) each.
 
-    Positions resolve forces up to the frequency `resolved`, Hz. Rows near long gaps and at the ends of the run are left
-    out; None if too few remain.
+    Positions resolve forces up to the frequency `resolved`, Hz. Rows near long gaps and at the ends of the
+    run are left out; None if too few remain.
     """
     complete = np.flatnonzero(np.isfinite(measured).all(axis=1))
     if not len(complete) or complete[-1] + 1 - complete[0] < MIN_ROWS:
@@ -130,9 +130,10 @@ def _compared_forces(
 
 
 def _resolved_frequency(machine: Machine, data: Dataset, noise: Array) -> float:
-    """Return the frequency up to which measured positions with that noise (coordinates,) resolve the drives' force, Hz.
+    """Return the frequency up to which positions of that noise (coordinates,) resolve the drives' force, Hz.
 
-    The acceleration of white noise below a cut-off frequency f has the variance (2 pi)^4 2 noise^2 period f^5 / 5.
+    The acceleration of white noise below a cut-off frequency f has the variance (2 pi)^4 2 noise^2 period f^5
+    / 5.
     """
     mass = np.array([c.mass for c in machine.coordinates])
     drives = {d.coordinate: d.gain for d in machine.drives}
@@ -146,7 +147,7 @@ def _resolved_frequency(machine: Machine, data: Dataset, noise: Array) -> float:
 
 
 def _least_noisy_sensors(machine: Machine, data: Dataset) -> list[int]:
-    """Return the index of the least noisy sensor of each coordinate, empty if one lacks a sensor without effects.
+    """Return the index of each coordinate's least noisy sensor, empty if one lacks a sensor without effects.
 
     Only sensors count that measure at least half as often as the most frequent one. Delays are permitted.
     """
@@ -171,11 +172,11 @@ def _inverse_dynamics(
     velocity: Array,
     sensor_delays: Mapping[str, float],
 ) -> tuple[Array, Array]:
-    """Return the forces of the drives and of the model along a measured motion, N or Nm, (n, coordinates) each.
+    """Return the forces of drives and model along a measured motion, N or Nm, (n, coordinates) each.
 
-    The motion is given at n regular times, the voltages in the rows of the run. They are delayed as much as each
-    coordinate's sensor, s. All effects, even those on a drive, belong to the force of the model. At zero velocity, dry
-    friction has the value within its limits that makes the error smallest.
+    The motion is given at n regular times, the voltages in the rows of the run. They are delayed as much as
+    each coordinate's sensor, s. All effects, even those on a drive, belong to the force of the model. At zero
+    velocity, dry friction has the value within its limits that makes the error smallest.
     """
     drives = zip(Equations(machine).voltage_delays(), machine.drives, strict=True)
     delays = [delay + sensor_delays[drive.coordinate] for delay, drive in drives]
@@ -188,7 +189,8 @@ def _inverse_dynamics(
     drive = net_forces(frictionless, time_s, position, velocity, voltages)
     mass = np.array([c.mass for c in machine.coordinates])
     inertial = mass * np.gradient(np.gradient(position, time_s, axis=0), time_s, axis=0)
-    # Excess force with dry friction at its lower and at its upper limit; both are equal where the machine moves.
+    # Excess force with dry friction at its lower and at its upper limit; both are equal where the machine
+    # moves.
     lower, upper = (
         net_forces(prompt, time_s, position, np.where(velocity == 0.0, direction, velocity), voltages)
         - inertial
@@ -200,8 +202,8 @@ def _inverse_dynamics(
 def _centered_mean(run: PreparedRecording, j: int, time_s: Array) -> Array:
     """Return the mean of a held input over one period around each of n regular times, shape (n,).
 
-    A central difference of the measured motion shows the force around its sample, half of which the previous input
-    still determines.
+    A central difference of the measured motion shows the force around its sample, half of which the previous
+    input still determines.
     """
     period = float(np.median(np.diff(time_s)))
     integral = np.concatenate([[0.0], np.cumsum(run.inputs[:-1, j] * np.diff(run.time_s))])

@@ -1,8 +1,8 @@
 """The force that a model lacks, on each coordinate or along each motion.
 
-The missing force, also called force residual, is the force that would have to be added to the model for it to follow
-the measurements. It is estimated from the corrections of an observer, which feeds the measurements back into a
-prediction, see `prediction`.
+The missing force, also called force residual, is the force that would have to be added to the model for it to
+follow the measurements. It is estimated from the corrections of an observer, which feeds the measurements
+back into a prediction, see `prediction`.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ HIGHEST_FREQUENCY = 40.0  # Hz, up to which the missing force is estimated
 def _innovations(
     machine: Machine, run: PreparedRecording, data: Dataset, start: Array, noise: Array | None = None
 ) -> Array:
-    """Return measured minus predicted values, 0 where not measured, and their change by noise, (1 or 2, n, sensors)."""
+    """Return measured minus predicted, 0 if not measured, and its change by noise, (1 or 2, n, sensors)."""
     added = None if noise is None else np.stack([np.zeros_like(noise), -noise])
     motion = predict(
         machine, run, SEARCH_BANDWIDTH, period=data.period, initial_state=start, extra_measurement=added
@@ -47,17 +47,18 @@ def _innovations(
 
 
 def _innovation(readings: Array, machine: Machine, run: PreparedRecording, start: Array) -> Array:
-    """Return measured minus predicted values, 0 where not measured, of a prediction from a given start, same shape."""
+    """Return measured minus predicted values, 0 where not measured, from a given start, same shape."""
     return np.nan_to_num(measurements_from(start, machine, run) - readings)
 
 
 def smooth_force_residual(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
     """Estimate the force that the model lacks in a run, on each coordinate alone, low-pass filtered at 30 Hz.
 
-    The observer divides this force among a carriage and its pulleys in the ratio of its gains, wherever the force acts.
-    Its corrections are therefore added along the motions that stretch no belt: the force on a carriage does the same
-    virtual work as all corrections if only carriages have forces; that on a pulley, if only pulleys do. Corrections of
-    positions count too: the predicted velocity, on which viscous friction and back-EMF act, lacks them.
+    The observer divides this force among a carriage and its pulleys in the ratio of its gains, wherever the
+    force acts. Its corrections are therefore added along the motions that stretch no belt: the force on a
+    carriage does the same virtual work as all corrections if only carriages have forces; that on a pulley, if
+    only pulleys do. Corrections of positions count too: the predicted velocity, on which viscous friction and
+    back-EMF act, lacks them.
 
     Args:
         run: Measured run, n samples.
@@ -72,16 +73,17 @@ def smooth_force_residual(machine: Machine, run: PreparedRecording, data: Datase
 
 
 class MissingMotion(NamedTuple):
-    """What a prediction with feedback of the measurements says about a run of n samples, on a machine with m motions.
+    """What a prediction with feedback says about a run of n samples, on a machine with m motions.
 
     Attributes:
-        force: Force that the model lacks along each rigid motion (`rigid_motions`; coordinates without one move alone),
-            N or Nm, below 30 Hz, shape (n, m).
-        correction: Force along each motion by which the observer corrects the prediction. It follows the missing force
-            with a lag (`correction_filters`), but has white noise; shape (n, m).
-        correction_noise: The part of it that synthetic noise (fixed seed) in the measurements causes, same shape.
-        disagreement: Combinations of the sensors' errors that no rigid motion causes, in standard deviations of the
-            sensors' noise, shape (n, sensors - m).
+        force: Force that the model lacks along each rigid motion (`rigid_motions`; coordinates without one
+            move alone), N or Nm, below 30 Hz, shape (n, m).
+        correction: Force along each motion by which the observer corrects the prediction. It follows the
+            missing force with a lag (`correction_filters`), but has white noise; shape (n, m).
+        correction_noise: The part of it that synthetic noise (fixed seed) in the measurements causes, same
+            shape.
+        disagreement: Combinations of the sensors' errors that no rigid motion causes, in standard deviations
+            of the sensors' noise, shape (n, sensors - m).
         disagreement_noise: The part of it that the same noise causes, same shape.
         positions: Predicted positions, m or rad, shape (n, coordinates).
         velocities: Predicted velocities, m/s or rad/s, shape (n, coordinates).
@@ -97,7 +99,7 @@ class MissingMotion(NamedTuple):
 
 
 def missing_motions(machine: Machine, data: Dataset) -> list[MissingMotion]:
-    """Estimate, run by run, the force that the model lacks and how far the sensors disagree, each beside its noise.
+    """Estimate by run the force that the model lacks and how far the sensors disagree, each beside its noise.
 
     Returns:
         Forces, N or Nm, disagreements and motion, arrays of shape (n, ...), one entry per run of n samples.
@@ -130,7 +132,7 @@ def motion_directions(machine: Machine, data: Dataset) -> Array:
 
 
 def correction_filters(machine: Machine, data: Dataset) -> list[tuple[Array, Array]]:
-    """Return the low-pass filters by which the corrections of the observer of 60 rad/s follow the missing force.
+    """Return the low-pass filters by which corrections of the observer of 60 rad/s follow the missing force.
 
     Both are forces along a rigid motion of the machine, N or Nm; a constant force is followed completely.
 
@@ -158,8 +160,8 @@ def sensor_combinations(machine: Machine, data: Dataset) -> Array:
         data: Data set with the standard deviations of their noise.
 
     Returns:
-        Combinations as columns, 1/m or 1/rad, whose noise has the standard deviation 1, shape (sensors, position
-        sensors - motions).
+        Combinations as columns, 1/m or 1/rad, whose noise has the standard deviation 1,
+        shape (sensors, position sensors - motions).
     """
     noise, positions = np.asarray(data.noise, float), machine.position_sensors
     scaled = (machine.sensor_matrix @ _observed_forces(machine, data.period).modes.T) / noise[:, None]
@@ -172,7 +174,7 @@ def sensor_combinations(machine: Machine, data: Dataset) -> Array:
 def _synthetic_noise(
     machine: Machine, run: PreparedRecording, data: Dataset, rng: np.random.Generator
 ) -> Array:
-    """Return noise of a run, in the sensors' units, shape (n, sensors); quantized sensors round the motion."""
+    """Return noise of a run, in the sensors' units, (n, sensors); quantized sensors round the motion."""
     noise = rng.normal(size=run.outputs.shape) * np.sqrt(np.maximum(run.noise**2 - data.quantum**2 / 12, 0.0))
     exact = predict(machine, run, SEARCH_BANDWIDTH, period=data.period).readings[0]
     for j in np.flatnonzero(data.quantum > 0.0):
@@ -187,18 +189,20 @@ def _synthetic_noise(
 class _ObservedForces(NamedTuple):
     """What the corrections of an observer say about the force on each coordinate.
 
-    A rigid motion stretches no belt: a carriage moves with its pulleys. Other coordinates move alone. The error e of a
-    rigid motion obeys M e'' + (D + M l1) e' + (D l1 + M l2) e = missing force, with mass M, damping D, and the gains of
-    position and velocity l1, 1/s, and l2, 1/s^2. The last term on the left is the force that corrects the motion.
+    A rigid motion stretches no belt: a carriage moves with its pulleys. Other coordinates move alone. The
+    error e of a rigid motion obeys M e'' + (D + M l1) e' + (D l1 + M l2) e = missing force, with mass M,
+    damping D, and the gains of position and velocity l1, 1/s, and l2, 1/s^2. The last term on the left is the
+    force that corrects the motion.
 
     Attributes:
-        gains: Correcting force on each coordinate per innovation, N or Nm per m or rad, shape (sensors, coordinates).
+        gains: Correcting force on each coordinate per innovation, N or Nm per m or rad,
+            shape (sensors, coordinates).
         motion_gains: Correcting force along each motion, N or Nm per m or rad, shape (sensors, motions).
         first: (D + M l1) / (D l1 + M l2), s, shape (motions,).
         second: M / (D l1 + M l2), s^2, shape (motions,).
         modes: Displacement of the coordinates along each motion, shape (motions, coordinates).
-        distribution: Force on a coordinate, if only carriages or only pulleys have forces, per force along a motion,
-            shape (motions, coordinates).
+        distribution: Force on a coordinate, if only carriages or only pulleys have forces, per force along a
+            motion, shape (motions, coordinates).
     """
 
     gains: Array
@@ -210,7 +214,7 @@ class _ObservedForces(NamedTuple):
 
 
 def _observed_forces(machine: Machine, period: float) -> _ObservedForces:
-    """Return what corrections say about forces, for an observer of `SEARCH_BANDWIDTH` at a sampling period, s."""
+    """Return what corrections say about forces, for an observer of `SEARCH_BANDWIDTH` at a period, s."""
     names, motions = machine.coordinate_names, rigid_motions(machine)
     pulleys = [names.index(name) for name in pulley_names(machine)] if machine.belts and motions else []
     leading = [names.index(name) for name in motions]
@@ -277,9 +281,10 @@ def missing_force(
 ) -> dict[str, Array]:
     """Estimate the force that the model lacks along all runs, together with the motion.
 
-    An observer corrects the prediction by the measurements. Above its bandwidth (60 rad/s), its correcting force lags
-    behind the missing one and falls. Both are inverted; but as the inversion amplifies the noise of the sensors with
-    the square of the frequency, the result is attenuated above a cut-off frequency, without phase lag.
+    An observer corrects the prediction by the measurements. Above its bandwidth (60 rad/s), its correcting
+    force lags behind the missing one and falls. Both are inverted; but as the inversion amplifies the noise
+    of the sensors with the square of the frequency, the result is attenuated above a cut-off frequency,
+    without phase lag.
 
     Args:
         data: Measured runs with n rows in total.
@@ -287,9 +292,10 @@ def missing_force(
         followed: The runs as the machine follows them. Default: of `follow_runs`.
 
     Returns:
-        By coordinate name, an array of shape (n, 3) with the columns position, velocity and missing force: m, m/s, N
-        for a linear and rad, rad/s, Nm for a rotary coordinate. The force on a carriage is the one that does the same
-        work as all corrections if only carriages have forces; that on a pulley, if only pulleys do.
+        By coordinate name, an array of shape (n, 3) with the columns position, velocity and missing force: m,
+        m/s, N for a linear and rad, rad/s, Nm for a rotary coordinate. The force on a carriage is the one
+        that does the same work as all corrections if only carriages have forces; that on a pulley, if only
+        pulleys do.
     """
     observed = _observed_forces(machine, data.period)
 
@@ -303,17 +309,18 @@ def missing_force(
 
 
 def sensor_errors(machine: Machine, followed: Sequence[FollowedRun]) -> dict[str, Array]:
-    """Return what an observer has not corrected yet of the errors of sensors of positions, together with the motion.
+    """Return what an observer has not yet corrected of position sensors' errors, together with the motion.
 
-    Errors that change faster than the bandwidth of the observer (60 rad/s; 25 rad/s of lasers beside encoders) are
-    complete; slower ones it follows.
+    Errors that change faster than the bandwidth of the observer (60 rad/s; 25 rad/s of lasers beside
+    encoders) are complete; slower ones it follows.
 
     Args:
         followed: The runs as it follows them, n rows in total.
 
     Returns:
-        By channel, an array of shape (n, 3) with the columns position and velocity of the coordinate that the sensor
-        mainly measures, m, m/s or rad, rad/s, and measured minus predicted value, in the sensor's unit.
+        By channel, an array of shape (n, 3) with the columns position and velocity of the coordinate that the
+        sensor mainly measures, m, m/s or rad, rad/s, and measured minus predicted value, in the sensor's
+        unit.
     """
     channels = {s.channel: j for j, s in enumerate(machine.sensors) if s.of_position}
     coordinates = [machine.coordinate_names.index(machine.sensors[j].coordinate) for j in channels.values()]
@@ -363,5 +370,5 @@ def _low_pass(values: Array, cutoff: float, period: float) -> Array:
 
 @cache
 def _butterworth(relative_cutoff: float) -> Array:
-    """Return a low-pass filter of second order, whose cut-off frequency is relative to half the sampling rate."""
+    """Return a second-order low-pass filter, with a cut-off frequency relative to half the sampling rate."""
     return np.asarray(signal.butter(2, relative_cutoff, output="sos"))

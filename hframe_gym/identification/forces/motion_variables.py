@@ -1,4 +1,4 @@
-"""The variables of a motion on which a missing force may depend: positions, speeds, currents, loads, heat, time."""
+"""The variables on which a missing force may depend: positions, speeds, currents, loads, heat, time."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ def variables_of_motion(
         velocities: Velocities, m/s or rad/s, shape (n, coordinates).
 
     Returns:
-        By name, shape (n,) each. For each coordinate C: "position of C" (m or rad), "velocity of C", "acceleration of
-        C" below 30 Hz, "path of C" since the start of the run, and "dwell of C", the age of its contacts (s). For each
-        drive D: "current of D" (A; the inductance neglected; for a drive with a law its torque, Nm), "heat of D" (A^2),
-        "load of D", the force that is left for the belts (N or Nm), "impulse of D", the integral of the load. The input
-        channels (V); sums over the drives: "current of drives", "power of drives" (W), "load of drives", and its rate,
-        "tension rate of belts"; "time" and
+        By name, shape (n,) each. For each coordinate C: "position of C" (m or rad), "velocity of C",
+        "acceleration of C" below 30 Hz, "path of C" since the start of the run, and "dwell of C", the age of
+        its contacts (s). For each drive D: "current of D" (A; the inductance neglected; for a drive with a
+        law its torque, Nm), "heat of D" (A^2), "load of D", the force that is left for the belts (N or Nm),
+        "impulse of D", the integral of the load. The input channels (V); sums over the drives: "current of
+        drives", "power of drives" (W), "load of drives", and its rate, "tension rate of belts"; "time" and
         "time in the run" (s).
     """
     names, period = machine.coordinate_names, data.period
@@ -105,7 +105,7 @@ def smooth_sign(velocity: Array) -> Array:
 
 
 def _contact_age(speed: Array, period: float) -> Array:
-    """Return for how long the contacts of a coordinate have rested, s, from its speed, m/s: age' = 1 - speed age/D."""
+    """Return how long a coordinate's contacts have rested, s, from its speed, m/s: age' = 1 - speed age/D."""
     age, ages = 0.0, np.empty(len(speed))
     for row, kept in enumerate(np.exp(-speed * period / _CONTACT_M)):
         ages[row] = age = (age + period) * kept

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-# Fraction of the missing force beyond noise from which a variable is a cause; chance explains less (synthetic rigs).
+# Fraction of the missing force beyond noise from which a variable is a cause; chance explains less (synthetic
+# rigs).
 MINIMUM_DEPENDENCE = 0.05
 # Relative error of the variance that noise is expected to cause; less beyond noise is uncertain.
 NOISE_ERROR = 0.5
-# A special variable comes before a plain one if it explains clearly more: the age of a contact follows from its speed.
-# So does a plain one before a constant, which its curve contains.
+# A special variable comes before a plain one if it explains clearly more: the age of a contact follows from
+# its speed. So does a plain one before a constant, which its curve contains.
 SPECIAL_PREFERENCE = 0.95
 
 
@@ -52,7 +53,7 @@ def is_cause(evidence: CauseEvidence) -> bool:
 
 
 def rank_of_cause(evidence: CauseEvidence, total: float) -> float:
-    """Return by what causes are sorted: the fraction that they explain for certain, the plainer ones preferred.
+    """Return what sorts causes: the fraction that they explain for certain, the plainer ones preferred.
 
     Args:
         evidence: What the variable explains.
@@ -68,8 +69,8 @@ def names_causes(matches: Sequence[Sequence[bool]]) -> bool:
     """Return whether effects are the causes of a missing force.
 
     Args:
-        matches: For each effect, whether it acts on the component and depends on the variable of each cause, the
-            strongest cause first.
+        matches: For each effect, whether it acts on the component and depends on the variable of each cause,
+            the strongest cause first.
 
     Returns:
         True if the strongest cause is that of an effect, and each effect has a cause.

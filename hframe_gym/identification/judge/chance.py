@@ -1,7 +1,7 @@
 """Judge how much of a cost an effect that does not exist removes by chance.
 
-The error that a model leaves is correlated in time, so that tests that assume white noise accept effects that do not
-exist.
+The error that a model leaves is correlated in time, so that tests that assume white noise accept effects that
+do not exist.
 """
 
 from __future__ import annotations
@@ -15,12 +15,14 @@ from .criteria import SelectionCriteria
 
 @dataclass(frozen=True)
 class LongRunVariance:
-    """Variance of a residual in the direction in which an effect changes the predictions, summed over long times.
+    """Variance of a residual in the direction in which an effect changes predictions, summed over long times.
 
     Attributes:
-        ratio: This variance / that of white noise, dimensionless, at least 1; infinite if the machine diverges.
+        ratio: This variance / that of white noise, dimensionless, at least 1; infinite if the machine
+            diverges.
         parameters: Number of free parameters of the effect.
-        blocks: Number of independent pieces of time from which it is estimated; few of them estimate it inaccurately.
+        blocks: Number of independent pieces of time from which it is estimated; few of them estimate it
+            inaccurately.
     """
 
     ratio: float
@@ -29,7 +31,7 @@ class LongRunVariance:
 
 
 def chance_gain(variance: LongRunVariance, criteria: SelectionCriteria) -> float:
-    """Return the reduction of the cost, dimensionless, that an effect which does not exist hardly ever reaches.
+    """Return the reduction of the cost, dimensionless, that an absent effect hardly ever reaches.
 
     Reduction / (variance x number of parameters) has an F distribution.
 
@@ -42,7 +44,7 @@ def chance_gain(variance: LongRunVariance, criteria: SelectionCriteria) -> float
 
 
 def chance_deviations(criteria: SelectionCriteria) -> float:
-    """Return how many standard deviations from 0 an estimate must be, so that chance alone hardly ever brings it there.
+    """Return how many standard deviations from 0 an estimate must be so that chance rarely brings it there.
 
     Args:
         criteria: Decision threshold `chance`, the probability that it does.

@@ -1,8 +1,9 @@
 """Judge an effect: whether it exists, given that it reduces the error of the fitted runs.
 
-The best of some hundred candidates reduces any error somewhat. An effect is therefore doubted unless other runs confirm
-it, the machine with it stays physical, neither chance nor another course of the voltages between the rows explains the
-reduction, its force exceeds the one that remains unexplained, and it is no correction to the formula of another effect.
+The best of some hundred candidates reduces any error somewhat. An effect is therefore doubted unless other
+runs confirm it, the machine with it stays physical, neither chance nor another course of the voltages between
+the rows explains the reduction, its force exceeds the one that remains unexplained, and it is no correction
+to the formula of another effect.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ from .error import (
     voltages_may_cause,
 )
 
-# Relative distance from the limit of a parameter's range within which a value is at the limit; fits end there within
-# rounding errors, or within the tolerance of a logarithmic parameter.
+# Relative distance from the limit of a parameter's range within which a value is at the limit; fits end there
+# within rounding errors, or within the tolerance of a logarithmic parameter.
 AT_LIMIT = 0.01
 # Top speed under rated voltage with / without the effects. Even absent friction does not double it.
 LARGEST_SPEED_RATIO = 5.0
@@ -96,7 +97,8 @@ class ParameterValue:
         unit: Its unit.
         value: Fitted value.
         limits: Limits that are no meaningful values themselves, such as 0 or a starting value.
-        covered: Range that the motion of the runs covers, for a width or a rate that it limits; otherwise None.
+        covered: Range that the motion of the runs covers, for a width or a rate that it limits; otherwise
+            None.
         covered_below: Whether also the lower end of this range is a limit of what the runs show.
     """
 
@@ -116,9 +118,9 @@ class Size:
         name: Name of the parameter.
         unit: Its unit.
         value: Fitted value, in this unit.
-        std: Its standard deviation beside the parameters of the machine and of the other effects, in this unit. The
-            effect's other parameters are held, because they mean nothing where the effect is absent, and so is a
-            parameter of the machine that it multiplies.
+        std: Its standard deviation beside the parameters of the machine and of the other effects, in this
+            unit. The effect's other parameters are held, because they mean nothing where the effect is
+            absent, and so is a parameter of the machine that it multiplies.
     """
 
     name: str
@@ -149,9 +151,10 @@ class MachineBehavior:
     """How a machine with effects behaves outside the recordings.
 
     Attributes:
-        tension_rises: Whether the tension of no belt falls with its extension, as far as the rated voltage reaches.
-        top_speeds: Function that returns the top speed under random rated voltage with the effects, infinite if the
-            machine diverges, and without them, m/s.
+        tension_rises: Whether the tension of no belt falls with its extension, as far as the rated voltage
+            reaches.
+        top_speeds: Function that returns the top speed under random rated voltage with the effects, infinite
+            if the machine diverges, and without them, m/s.
     """
 
     tension_rises: bool
@@ -165,10 +168,11 @@ class EffectEvidence:
     Attributes:
         without: Error without the effect.
         with_effect: Error with it.
-        forceless: Whether it adds coordinates or changes the clock; it then has no force at those of the machine.
+        forceless: Whether it adds coordinates or changes the clock; it then has no force at those of the
+            machine.
         confirmed: Reduction of the cost in runs to which the effect was not fitted, by a linear model.
-        confirmed_accurate: The same, fitted again without each piece, or an upper limit of it below the least reduction
-            that confirms, which is given.
+        confirmed_accurate: The same, fitted again without each piece, or an upper limit of it below the least
+            reduction that confirms, which is given.
         fault: Why the machine with the effect is not physical, as `fault_of_machine` says.
         chance: Reduction and long-run variance at the observer of both fits.
         chance_narrower: The same at the next narrower observer; None for a simulation.
@@ -177,14 +181,15 @@ class EffectEvidence:
         drives: Force of the drives, N.
         additions: What the effect adds to each effect of another family that depends on the same variable.
         parameters: Its fitted parameters.
-        beside_voltages: Reduction of the cost beside what unknown voltages between the rows may explain; None if the
-            voltages are held.
-        disagreement: Disagreement of the sensors without and with an error of one of them; None if the effect is none
-            of a sensor, or no other sensor measures the same motions.
-        sizes_by_observer: Parameters without which the effect is absent, with the observer of the fits and with the
-            widest one; None if the voltages are held, or if the observer of the fits is the widest one.
-        sizes_by_instruments: The same by least squares and by instruments; none if instruments find nothing; None if
-            the voltages are held.
+        beside_voltages: Reduction of the cost beside what unknown voltages between the rows may explain; None
+            if the voltages are held.
+        disagreement: Disagreement of the sensors without and with an error of one of them; None if the effect
+            is none of a sensor, or no other sensor measures the same motions.
+        sizes_by_observer: Parameters without which the effect is absent, with the observer of the fits and
+            with the widest one; None if the voltages are held, or if the observer of the fits is the widest
+            one.
+        sizes_by_instruments: The same by least squares and by instruments; none if instruments find nothing;
+            None if the voltages are held.
     """
 
     without: FitError
@@ -212,10 +217,10 @@ class EffectEvidence:
 
 
 def enough_gain(error: FitError, criteria: SelectionCriteria, *, voltages_known: bool) -> float:
-    """Return the smallest reduction of chi-squared per sample, dimensionless, for which an effect is selected.
+    """Return the smallest reduction of chi-squared per sample, dimensionless, for which an effect is taken.
 
-    Where unknown voltages between the rows may cause all of the error beyond the noise, a right effect need not remove
-    a fraction of it. The other tests decide then.
+    Where unknown voltages between the rows may cause all of the error beyond the noise, a right effect need
+    not remove a fraction of it. The other tests decide then.
 
     Args:
         error: Error without the effect, or with it.
@@ -229,11 +234,11 @@ def enough_gain(error: FitError, criteria: SelectionCriteria, *, voltages_known:
 def doubt_about_candidate(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
     """Return why an effect that the search just added may not exist; "" if nothing speaks against it.
 
-    The statistical tests (confirmation by other runs, chance, disagreement of the sensors, interpolation of the
-    voltages) need a machine that nearly explains the data without the effect: while other effects are missing, a fit
-    without one run says little about the machine, and what they leave is correlated in time. `doubt_beside_others`
-    repeats them for every effect. An effect that removes a small fraction of the error, as `enough_gain` permits, must
-    pass them at once.
+    The statistical tests (confirmation by other runs, chance, disagreement of the sensors, interpolation of
+    the voltages) need a machine that nearly explains the data without the effect: while other effects are
+    missing, a fit without one run says little about the machine, and what they leave is correlated in time.
+    `doubt_beside_others` repeats them for every effect. An effect that removes a small fraction of the error,
+    as `enough_gain` permits, must pass them at once.
 
     Args:
         evidence: What the fitted runs say.
@@ -246,9 +251,9 @@ def doubt_about_candidate(evidence: EffectEvidence, criteria: SelectionCriteria)
 def doubt_beside_others(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
     """Return why an effect may not exist beside all other effects; "" if nothing speaks against it.
 
-    It must reduce the error by enough, and pass all tests of `doubt_about_candidate`. No parameter may end at a limit
-    that is no meaningful value: the recordings then ask for a value that the effect cannot have, and another effect
-    imitates it.
+    It must reduce the error by enough, and pass all tests of `doubt_about_candidate`. No parameter may end at
+    a limit that is no meaningful value: the recordings then ask for a value that the effect cannot have, and
+    another effect imitates it.
 
     Args:
         evidence: What the fitted runs say.
@@ -277,8 +282,8 @@ def _doubt(evidence: EffectEvidence, criteria: SelectionCriteria, *, statistical
 def _in_the_motion(evidence: EffectEvidence) -> str:
     """Return the doubt that an error of a sensor imitates one of the motion; "" if it does not.
 
-    What a model lacks moves all sensors of a motion alike. An error of one of them that imitates it reduces the errors
-    of the prediction that follows all of them, but adds itself to what they say differently.
+    What a model lacks moves all sensors of a motion alike. An error of one of them that imitates it reduces
+    the errors of the prediction that follows all of them, but adds itself to what they say differently.
     """
     if evidence.disagreement is None:
         return ""
@@ -305,11 +310,12 @@ def _of_several_sizes(evidence: EffectEvidence, criteria: SelectionCriteria) -> 
 
     What exists has the same size with every observer and by instruments.
 
-    - A controller that answers vibrations between the rows changes their phase, as a damping of belts does, but by
-      another amount: the wider the observer, the faster the error that determines the size, and the more of it is
-      theirs.
-    - Least squares take errors of the voltages for another division of the inertia into those of stage and pulleys, and
-      a damping of belts or a late sensor for what that does to vibrations. Instruments do not contain these errors.
+    - A controller that answers vibrations between the rows changes their phase, as a damping of belts does,
+      but by another amount: the wider the observer, the faster the error that determines the size, and the
+      more of it is theirs.
+    - Least squares take errors of the voltages for another division of the inertia into those of stage and
+      pulleys, and a damping of belts or a late sensor for what that does to vibrations. Instruments do not
+      contain these errors.
 
     A size that is not known well in one fit is no other one.
     """
@@ -338,7 +344,7 @@ def _least_confirmed(gain: float, criteria: SelectionCriteria) -> float:
 
 
 def _unconfirmed(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
-    """Return the doubt that an effect describes single runs rather than the machine; "" if other runs confirm it."""
+    """Return the doubt that an effect describes single runs, not the machine; "" if other runs confirm it."""
     gain = evidence.gain
     least = _least_confirmed(gain, criteria)
     if evidence.confirmed() >= least:
@@ -371,8 +377,8 @@ def fault_of_machine(behavior: MachineBehavior) -> str:
 def _by_chance(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
     """Return the doubt that chance explains the gain, as the remaining error is correlated; "" if it cannot.
 
-    In doubt, the gain with the next narrower observer decides: an observer hides slow errors, and with them what an
-    effect explains, whereas model error imitates an effect the less, the longer it adds up.
+    In doubt, the gain with the next narrower observer decides: an observer hides slow errors, and with them
+    what an effect explains, whereas model error imitates an effect the less, the longer it adds up.
     """
     for chance in filter(None, (evidence.chance, evidence.chance_narrower)):
         measured = chance()
@@ -382,9 +388,9 @@ def _by_chance(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
 
 
 def _too_small(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
-    """Return the doubt about an effect smaller than what stays unexplained or negligible beside the drives, else ""."""
-    # Without a force of its own, an effect is compared with all that the observer corrects. In a slow log, unknown
-    # voltages cause that, also in the true machine, as far as noise and they explain the data.
+    """Return the doubt about an effect below what is unexplained or negligible beside the drives, or ""."""
+    # Without a force of its own, an effect is compared with all that the observer corrects. In a slow log,
+    # unknown voltages cause that, also in the true machine, as far as noise and they explain the data.
     if (
         evidence.forceless
         and evidence.beside_voltages is not None
@@ -394,8 +400,9 @@ def _too_small(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
     forces, drives = evidence.forces(), evidence.drives()
     if forces.effect < criteria.min_drive_force_ratio * drives and not evidence.forceless:
         return f"has a force of {forces.effect:.2g} N, {forces.effect / drives:.1g} of that of the drives"
-    # An observer shows little of a slow force. Where the machine with an effect that has none of its own nearly
-    # explains the data, rounding errors of encoders may be most of what the observer corrects, without and with it.
+    # An observer shows little of a slow force. Where the machine with an effect that has none of its own
+    # nearly explains the data, rounding errors of encoders may be most of what the observer corrects, without
+    # and with it.
     hidden = evidence.forceless and nearly_explains(evidence.with_effect, criteria)
     least = 0.0 if hidden else criteria.min_promised_force_ratio * forces.residue
     if least <= forces.effect < criteria.min_force_ratio * forces.residue:
@@ -407,9 +414,9 @@ def _too_small(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
 
 
 def _form_error(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
-    """Return the doubt that an effect corrects the form of one of another family; "" if nothing speaks for that."""
-    # What an inexact form leaves has no simple formula itself. An effect that removes nearly all of an error of several
-    # times the noise is therefore no correction of another effect's form.
+    """Return the doubt that an effect corrects the form of one of another family; "" if nothing says so."""
+    # What an inexact form leaves has no simple formula itself. An effect that removes nearly all of an error
+    # of several times the noise is therefore no correction of another effect's form.
     before, after = evidence.without, evidence.with_effect
     if before.chi2 > FAR and after.excess < criteria.max_remaining * before.excess:
         return ""
@@ -421,7 +428,7 @@ def _form_error(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
 
 
 def parameter_at_limit(parameters: Iterable[ParameterValue]) -> str:
-    """Return the doubt about an effect with a parameter at a limit of its range, a value without meaning; else "".
+    """Return the doubt about an effect with a parameter at a limit of its range, without meaning; else "".
 
     Args:
         parameters: Fitted parameters of the effect.
@@ -444,15 +451,16 @@ def parameter_at_limit(parameters: Iterable[ParameterValue]) -> str:
 
 
 def uncertain_size(sizes: Sequence[Size], criteria: SelectionCriteria) -> str:
-    """Return the doubt that an effect of the delivered machine has no size; "" if a size is certain, or it has none.
+    """Return the doubt that a delivered effect has no size; "" if a size is certain, or it has none.
 
-    A size is certain if it exceeds as many standard deviations as the best of all candidates reaches by chance. This is
-    asked again at the end because the tests of the search compare costs of earlier fits, which used other observers and
-    rows. Also, a fit may have ended where the measurements hardly depend on the effect: then something else lowered the
-    cost.
+    A size is certain if it exceeds as many standard deviations as the best of all candidates reaches by
+    chance. This is asked again at the end because the tests of the search compare costs of earlier fits,
+    which used other observers and rows. Also, a fit may have ended where the measurements hardly depend on
+    the effect: then something else lowered the cost.
 
     Args:
-        sizes: Parameters without which the effect is absent, in the delivered machine; one that is certain suffices.
+        sizes: Parameters without which the effect is absent, in the delivered machine; one that is certain
+            suffices.
         criteria: Decision threshold `chance`.
     """
     deviations = chance_deviations(criteria)
@@ -464,18 +472,20 @@ def uncertain_size(sizes: Sequence[Size], criteria: SelectionCriteria) -> str:
 
 @dataclass(frozen=True)
 class TimingEvidence:
-    """What the runs say about a delay or lag of the drives, judged by an observer that is wider than the search's.
+    """What the runs say about a delay or lag of the drives, judged by a wider observer than the search's.
 
     Attributes:
         search: Costs without and with the effect, with the observer of the search.
         wide: The same with the wider observer.
-        variance: Function that returns the variance of the residual in the effect's direction, with the wider observer.
-        confirmed: Reduction of the cost in runs to which it was not fitted, with the wider observer, by a linear model.
-        confirmed_accurate: The same, fitted again without each piece, or an upper limit of it below the least reduction
-            that confirms, which is given.
+        variance: Function that returns the variance of the residual in the effect's direction, with the wider
+            observer.
+        confirmed: Reduction of the cost in runs to which it was not fitted, with the wider observer, by a
+            linear model.
+        confirmed_accurate: The same, fitted again without each piece, or an upper limit of it below the least
+            reduction that confirms, which is given.
         fault: Why the machine with the effect is not physical.
-        held_out_gain: Function that returns which fraction of the error of the held-out runs it removes, with the wider
-            observer; infinite without such runs.
+        held_out_gain: Function that returns which fraction of the error of the held-out runs it removes, with
+            the wider observer; infinite without such runs.
     """
 
     search: tuple[float, float]

@@ -1,4 +1,4 @@
-"""How large the error of a fit is: what only noise leaves, what counts as a gain, and what explains the data."""
+"""How large the error of a fit is: what noise leaves, what counts as a gain, and what explains the data."""
 
 from __future__ import annotations
 
@@ -11,19 +11,20 @@ Measured = Callable[
     [], float
 ]  # a number that takes seconds to compute; called only if a decision depends on it
 
-# Three ratios of squared errors, on synthetic rigs. Up to this one, two explanations are as good as each other: a value
-# of a parameter for each run and an effect, a machine with and without a description of what it lacks.
+# Three ratios of squared errors, on synthetic rigs. Up to this one, two explanations are as good as each
+# other: a value of a parameter for each run and an effect, a machine with and without a description of what
+# it lacks.
 AS_GOOD = 1.2
-# From this one, one explanation is clearly worse than the other. Model error that adds up, and parameters that adapt to
-# it, rarely do as much.
+# From this one, one explanation is clearly worse than the other. Model error that adds up, and parameters
+# that adapt to it, rarely do as much.
 CLEAR = 2.0
-# From this one, they differ in kind: a right table and wrong effects (1524 and 57), runs of one machine and a run with
-# half of the gain. An effect that one run alone excites reaches 30, so that only a search can tell.
+# From this one, they differ in kind: a right table and wrong effects (1524 and 57), runs of one machine and a
+# run with half of the gain. An effect that one run alone excites reaches 30, so that only a search can tell.
 FAR = 10.0
 
 
-# Factor within which the size of unknown voltages between the rows is known, from the third differences of the logged
-# ones.
+# Factor within which the size of unknown voltages between the rows is known, from the third differences of
+# the logged ones.
 SIZE_OF_VOLTAGES = 2.0
 
 
@@ -48,7 +49,7 @@ class FitError:
 
     @property
     def chi2(self) -> float:
-        """Chi-squared per sample (mean squared residual / variance), dimensionless; 1 if only noise remains."""
+        """Chi-squared per sample (mean squared residual / variance), dimensionless; 1 for mere noise."""
         return self.cost / self.count
 
     @property
@@ -91,10 +92,10 @@ def explains(
 ) -> bool:
     """Return whether a machine explains the data.
 
-    A machine without effects that needs the widest observer may lack forces of unknown size, although the observer
-    leaves no error. Its simulation, which no observer corrects, shows their size; it may leave what the held-out runs
-    may. Noise that drifts, such as that of a tachometer, needs this observer as well. Rigs with a negligible residue
-    needed 15 to 30 rad/s.
+    A machine without effects that needs the widest observer may lack forces of unknown size, although the
+    observer leaves no error. Its simulation, which no observer corrects, shows their size; it may leave what
+    the held-out runs may. Noise that drifts, such as that of a tachometer, needs this observer as well. Rigs
+    with a negligible residue needed 15 to 30 rad/s.
 
     Args:
         error: Error at the most likely observer bandwidth.
@@ -115,8 +116,8 @@ def nearly_explains(error: FitError, criteria: SelectionCriteria) -> bool:
 def voltages_may_cause(error: FitError, criteria: SelectionCriteria) -> bool:
     """Return whether unknown voltages between the rows may cause all of an error beyond the noise.
 
-    Of a log with all voltages, an exact machine may leave as much as `explained_chi2`; here, an excess that is larger
-    by the factor within which the variance of these voltages is known.
+    Of a log with all voltages, an exact machine may leave as much as `explained_chi2`; here, an excess that
+    is larger by the factor within which the variance of these voltages is known.
 
     Args:
         error: Error of a fit to a log that is slower than its controller.
@@ -126,7 +127,7 @@ def voltages_may_cause(error: FitError, criteria: SelectionCriteria) -> bool:
 
 
 def only_noise_is_left(error: FitError, criteria: SelectionCriteria) -> bool:
-    """Return whether nothing but noise is left: what exceeds it is less than an effect must explain (`min_gain`)."""
+    """Return whether only noise is left: what exceeds it is less than an effect must explain (`min_gain`)."""
     return error.chi2 <= 1.0 + criteria.min_gain
 
 
@@ -144,9 +145,10 @@ def unexplained_fraction(error: FitError, best: FitError | None) -> float:
 
 
 def is_better_start(predicted: tuple[float, float], simulated: tuple[float, float]) -> bool:
-    """Return whether a refit that starts from the values of a plain fit is better than one from the declared values.
+    """Return whether a refit from the values of a plain fit is better than one from the declared values.
 
-    It is if its predictions are clearly better, or if they are a little better and its simulation is much better.
+    It is if its predictions are clearly better, or if they are a little better and its simulation is much
+    better.
 
     Args:
         predicted: Costs of the refits from the plain and from the declared values, with the widest observer,

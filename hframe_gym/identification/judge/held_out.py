@@ -10,7 +10,8 @@ import numpy as np
 from .effect import NO_GAIN
 from .error import CLEAR, Measured
 
-# Root mean square change of the predictions by an effect / their error, below which the runs do not excite it.
+# Root mean square change of the predictions by an effect / their error, below which the runs do not excite
+# it.
 MIN_EXCITATION = 0.05
 
 WORSENS = "reduces the error of the held-out runs, but they are simulated worse with {} than without effects"
@@ -19,8 +20,8 @@ WORSENS = "reduces the error of the held-out runs, but they are simulated worse 
 def gain_of_effect(gain: float, simulated: Measured | None) -> float:
     """Return the fraction of the squared error of the held-out runs that an effect removes.
 
-    An observer hides slow errors, and with them what a small constant force explains. If it shows no gain, the error of
-    a simulation decides, provided that the effect clearly reduces it.
+    An observer hides slow errors, and with them what a small constant force explains. If it shows no gain,
+    the error of a simulation decides, provided that the effect clearly reduces it.
 
     Args:
         gain: Fraction of the squared error of predictions, negative if the effect increases it.
@@ -36,8 +37,8 @@ def is_excited(change: float, error: float) -> bool:
     """Return whether the held-out runs depend on an effect.
 
     Args:
-        change: Sum of the squared changes of the predictions by the effect, in units of the noise; not finite if one
-            diverges.
+        change: Sum of the squared changes of the predictions by the effect, in units of the noise; not finite
+            if one diverges.
         error: Sum of their squared errors, in units of the noise.
     """
     return not change < MIN_EXCITATION**2 * error
@@ -47,8 +48,8 @@ def worsens_simulation(log_ratios: Sequence[float]) -> bool:
     """Return whether the effects together make simulations of the held-out runs worse.
 
     Args:
-        log_ratios: Logarithm of the squared simulation error with / without effects, of each run; 0 where both diverge.
-            In their mean, a single run with a large error of another cause counts little.
+        log_ratios: Logarithm of the squared simulation error with / without effects, of each run; 0 where
+            both diverge. In their mean, a single run with a large error of another cause counts little.
     """
     return bool(np.sum(log_ratios) > 0.0)
 
@@ -71,8 +72,9 @@ def refuted_effects(
 ) -> tuple[tuple[str, ...], str]:
     """Return the effects that the held-out runs refute.
 
-    These runs never add or change an effect. One that they do not excite is kept: the fitted runs have confirmed it. If
-    each effect reduces their error but all together make their simulation worse, each of them may be removed.
+    These runs never add or change an effect. One that they do not excite is kept: the fitted runs have
+    confirmed it. If each effect reduces their error but all together make their simulation worse, each of
+    them may be removed.
 
     Args:
         effects: What the runs say about each effect, by its label.

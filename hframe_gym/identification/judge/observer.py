@@ -15,12 +15,13 @@ Fitted = TypeVar("Fitted")
 def likeliest(narrowing: Iterable[tuple[Fitted, float]], simulated: tuple[Fitted, float]) -> Fitted:
     """Choose the observer under which the data are most likely.
 
-    Narrower observers are compared as long as the likelihood rises. The simulation is compared in any case, because the
-    likelihood may have a second maximum there: an observer disturbs phases in which friction holds the machine at rest.
+    Narrower observers are compared as long as the likelihood rises. The simulation is compared in any case,
+    because the likelihood may have a second maximum there: an observer disturbs phases in which friction
+    holds the machine at rest.
 
     Args:
-        narrowing: Fits with their losses (-2 log likelihood per value, dimensionless), at least one, from the present
-            observer to narrower ones; no more are asked for than are compared.
+        narrowing: Fits with their losses (-2 log likelihood per value, dimensionless), at least one, from the
+            present observer to narrower ones; no more are asked for than are compared.
         simulated: The fit in simulation and its loss.
 
     Returns:
@@ -44,9 +45,9 @@ def best_in_simulation(
 
     Args:
         narrowing: Fits with their products, from the present observer to narrower ones.
-        simulated: Function that continues the best of these without an observer, as a fit in simulation, and returns
-            that fit with its product. It gets the best one and its product, which it has to reduce. Its cost in
-            simulation is by cross-validation, because such a fit adapts to errors of the model.
+        simulated: Function that continues the best of these without an observer, as a fit in simulation, and
+            returns that fit with its product. It gets the best one and its product, which it has to reduce.
+            Its cost in simulation is by cross-validation, because such a fit adapts to errors of the model.
 
     Returns:
         The fit with the smallest product; the earlier of two that are equal.
@@ -60,8 +61,8 @@ def index_of_best_simulation(costs: Array) -> int:
     """Return the index of the machines that simulate runs best, all runs counting alike.
 
     Args:
-        costs: Cost of each run in simulation with each of the machines, dimensionless, shape (machines, runs); not
-            finite where a simulation diverges.
+        costs: Cost of each run in simulation with each of the machines, dimensionless,
+            shape (machines, runs); not finite where a simulation diverges.
 
     Returns:
         Index of the smallest geometric mean; of equal ones, the first. 0 if all machines diverge in some run.

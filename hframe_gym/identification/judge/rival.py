@@ -12,7 +12,7 @@ from .error import AS_GOOD, CLEAR, FitError, nearly_explains
 
 
 def equal_margin(without: FitError, best_cost: float, criteria: SelectionCriteria) -> float:
-    """Return the difference of cost from the best trial, dimensionless, up to which another trial is equally good.
+    """Return the difference of cost from the best trial, dimensionless, up to which another is equally good.
 
     Args:
         without: Error without any of the trials.
@@ -23,10 +23,10 @@ def equal_margin(without: FitError, best_cost: float, criteria: SelectionCriteri
 
 
 def preference(cost: float, parameters: int, needs_part: bool, limit: float) -> tuple[bool, int, bool]:
-    """Return a key that sorts trials: of those up to a limit of the cost, the one with the fewest parameters first.
+    """Return a key that sorts trials: of those up to a limit of the cost, that with fewest parameters first.
 
-    Of these, an effect that any machine may have comes before one that needs a part: friction that falls with speed was
-    called an eddy-current brake on a ball screw that has no magnets.
+    Of these, an effect that any machine may have comes before one that needs a part: friction that falls with
+    speed was called an eddy-current brake on a ball screw that has no magnets.
 
     Args:
         cost: Cost of the trial, dimensionless.
@@ -58,11 +58,11 @@ class TrialEvidence:
 def may_be_the_cause(evidence: TrialEvidence, criteria: SelectionCriteria) -> bool:
     """Return whether another effect that was tried may be the cause in place of the selected one.
 
-    It may if it explains nearly as much. So it may if it explains more than half as much, and if chance can cause the
-    difference: what is left is correlated in time, and an effect that is not there may take up some of it. Where the
-    selected effect does not nearly explain the data, what is left is that of missing effects and not chance. Both
-    effects are then as good as each other if they leave about the same of it: the trials are neither complete nor
-    accurate, and both effects are compared again beside those that are missing.
+    It may if it explains nearly as much. So it may if it explains more than half as much, and if chance can
+    cause the difference: what is left is correlated in time, and an effect that is not there may take up some
+    of it. Where the selected effect does not nearly explain the data, what is left is that of missing effects
+    and not chance. Both effects are then as good as each other if they leave about the same of it: the trials
+    are neither complete nor accurate, and both effects are compared again beside those that are missing.
 
     Args:
         evidence: Errors without and with each of the two effects.
@@ -82,14 +82,15 @@ def may_be_the_cause(evidence: TrialEvidence, criteria: SelectionCriteria) -> bo
 
 @dataclass(frozen=True)
 class RivalEvidence:
-    """Losses, -2 log(likelihood) per measured value, of the machine with an effect and with a rival in its place.
+    """Losses, -2 log(likelihood) per measured value, of the machine with an effect and with a rival.
 
     Attributes:
         loss: With the effect.
         margin: What chance may add to it, if the effect is right.
         rival_loss: With the rival.
         rival_margin: What chance may add to that, if the rival is right.
-        known: Whether the rival was fitted during the search; otherwise it was derived from a pair of effects.
+        known: Whether the rival was fitted during the search; otherwise it was derived from a pair of
+            effects.
     """
 
     loss: float
@@ -123,8 +124,8 @@ def is_likelier(evidence: RivalEvidence, least: float) -> bool:
 def remains_rival(evidence: RivalEvidence) -> bool:
     """Return whether a rival is not less likely than the effect by more than chance may cause.
 
-    A pair that moves the stage alike differs only while friction holds the stage, where a fit is least reliable; its
-    margin is the larger of both.
+    A pair that moves the stage alike differs only while friction holds the stage, where a fit is least
+    reliable; its margin is the larger of both.
     """
     margin = evidence.margin if evidence.known else max(evidence.margin, evidence.rival_margin)
     return evidence.rival_loss <= evidence.loss + margin
@@ -133,8 +134,8 @@ def remains_rival(evidence: RivalEvidence) -> bool:
 def only_a_row_tells(durations: Sequence[float], period: float) -> bool:
     """Return whether only what happens within a row of a log can tell effects apart.
 
-    A delay and a lag of equal duration act alike on all that changes more slowly. In a log slower than its controller,
-    the voltages within a row are not known: of two stages, the wrong one of both explained more.
+    A delay and a lag of equal duration act alike on all that changes more slowly. In a log slower than its
+    controller, the voltages within a row are not known: of two stages, the wrong one of both explained more.
 
     Args:
         durations: Durations of the effects, s.
@@ -144,7 +145,7 @@ def only_a_row_tells(durations: Sequence[float], period: float) -> bool:
 
 
 def largest_resembling_loss(variance: LongRunVariance, criteria: SelectionCriteria) -> float:
-    """Return the increase of chi-squared, dimensionless, up to which these runs may not distinguish two effects.
+    """Return the increase of chi-squared, dimensionless, up to which runs may not distinguish two effects.
 
     It is known to first order only, so that it must be clearly larger than what chance may cause.
 

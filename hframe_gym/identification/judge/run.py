@@ -1,4 +1,4 @@
-"""Judge runs: which one contradicts the others, which quantity differs between them, which observer each needs."""
+"""Judge runs: which contradicts the others, which quantity differs among them, which observer each needs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from .criteria import SelectionCriteria
 from .error import AS_GOOD, CLEAR, FAR, FitError, Measured, is_enough, required_gain
 from .held_out import HeldOutEffect
 
-# Two runs may differ in almost any parameter, and two must agree with each other for another one to contradict them.
+# Two runs may differ in almost any parameter, and two must agree with each other for another one to
+# contradict them.
 MIN_RUNS_COMPARED = 3
 # Range of a quantity over the runs / its mean, below which all runs need the same other value.
 EQUAL = 0.1
@@ -24,8 +25,8 @@ def contradicting_run(ratios: Mapping[str, float]) -> str | None:
     """Return the name of the run that contradicts the others most, None if none does.
 
     Args:
-        ratios: By name of a run, its chi-squared per sample / that of the other runs, both for parameters that are
-            fitted to the other runs.
+        ratios: By name of a run, its chi-squared per sample / that of the other runs, both for parameters
+            that are fitted to the other runs.
     """
     if len(ratios) < MIN_RUNS_COMPARED:
         return None
@@ -40,8 +41,8 @@ class HeldOutRun:
     Attributes:
         error: Error of the machine with the selected effects on this run.
         fitted_chi2: Chi-squared per sample of the fitted runs, dimensionless.
-        gains: Function that returns by which fraction the effects reduce the squared error of this run: all of them,
-            with the parameters fitted beside them, then each. None without effects.
+        gains: Function that returns by which fraction the effects reduce the squared error of this run: all
+            of them, with the parameters fitted beside them, then each. None without effects.
     """
 
     error: FitError
@@ -52,7 +53,8 @@ class HeldOutRun:
 def contradicts(run: HeldOutRun) -> bool:
     """Return whether a held-out run contradicts the machine that explains the fitted runs.
 
-    An effect, or all effects together, that clearly worsen a run cause its error: it refutes them and does not count.
+    An effect, or all effects together, that clearly worsen a run cause its error: it refutes them and does
+    not count.
 
     Args:
         run: What the run shows.
@@ -63,11 +65,11 @@ def contradicts(run: HeldOutRun) -> bool:
 
 
 def uses_all_runs(chi2_without: float, complete_explained: bool, complete_chi2: Measured) -> bool:
-    """Return whether effects that were found in all runs count, where those found without a suspect explain too little.
+    """Return whether effects found in all runs count, where those found without a suspect explain little.
 
     Args:
-        chi2_without: Chi-squared per sample, dimensionless, that the search without the suspect leaves, with the widest
-            observer.
+        chi2_without: Chi-squared per sample, dimensionless, that the search without the suspect leaves, with
+            the widest observer.
         complete_explained: Whether the effects found in all runs explain all runs.
         complete_chi2: Chi-squared per sample that they leave, with the widest observer.
     """
@@ -88,10 +90,10 @@ def differs_in_a_parameter(suspect: str, different_run: str | None, chi2: float,
 
 
 def run_that_differs_alone(different_run: str | None, chi2: float, chi2_before: float) -> str | None:
-    """Return the name of the only run that needs another value of a quantity, if the run is more likely wrong.
+    """Return the name of the one run that needs another value of a quantity, if the run is more likely wrong.
 
-    It is if one value for all runs leaves far more than a value in each. An effect that only this run excites raises
-    the error less.
+    It is if one value for all runs leaves far more than a value in each. An effect that only this run excites
+    raises the error less.
 
     Args:
         different_run: Name of the run; None if several differ.
@@ -105,20 +107,20 @@ def explains_all_runs(chi2: float, variance: float, criteria: SelectionCriteria)
     """Return whether a machine leaves hardly more error in all runs than a correct one would.
 
     Args:
-        chi2: Chi-squared per sample of all runs with the widest observer, dimensionless. The machine has either one
-            value of each parameter for all runs or, of one of them, a value in each run.
-        variance: Chi-squared per sample that a correct machine leaves, dimensionless: the variance of its innovations
-            with this observer / noise variance.
+        chi2: Chi-squared per sample of all runs with the widest observer, dimensionless. The machine has
+            either one value of each parameter for all runs or, of one of them, a value in each run.
+        variance: Chi-squared per sample that a correct machine leaves, dimensionless: the variance of its
+            innovations with this observer / noise variance.
         criteria: Decision threshold `explained_chi2`.
     """
     return chi2 < criteria.explained_chi2 * variance
 
 
 def explains_by_run(by_run: FitError, common: FitError, criteria: SelectionCriteria) -> bool:
-    """Return whether a value of a quantity in each run explains the runs, which one value for all of them does not.
+    """Return whether a quantity's value in each run explains the runs, and one value for all does not.
 
-    It must reduce the error by as much as an effect must: values that differ without a reason also reduce it somewhat,
-    and of an error just above what counts as explained, this is enough to seem an explanation.
+    It must reduce the error by as much as an effect must: values that differ without a reason also reduce it
+    somewhat, and of an error just above what counts as explained, this is enough to seem an explanation.
 
     Args:
         by_run: Error with a value in each run, with the widest observer.
@@ -150,7 +152,7 @@ def amounts_drift(amounts: Sequence[float]) -> bool:
 
 
 def different_run(amounts: Mapping[str, float]) -> str | None:
-    """Return the name of the only run whose amount of a quantity differs from the others'; None if several do.
+    """Return the name of the one run whose amount of a quantity differs from the others'; or None.
 
     Args:
         amounts: Amount by name of the run, dimensionless.
@@ -163,11 +165,11 @@ def different_run(amounts: Mapping[str, float]) -> str | None:
 
 
 def accepts_run_observers(log_ratio: float) -> bool:
-    """Return whether parameters fitted with an observer for each run are accepted: they do not simulate much worse.
+    """Return whether parameters from an observer for each run are accepted, as they simulate hardly worse.
 
     Args:
-        log_ratio: Logarithm of the ratio of mean square errors in simulation, with them / with one observer for all
-            runs, mean over the runs; not finite if the simulation diverges.
+        log_ratio: Logarithm of the ratio of mean square errors in simulation, with them / with one observer
+            for all runs, mean over the runs; not finite if the simulation diverges.
     """
     return log_ratio < math.log(CLEAR)
 
@@ -186,9 +188,9 @@ def exchanges_held_out(differing: int, held_out: int, fitted: int) -> bool:
 def exchange_confirms(effects: Sequence[HeldOutEffect]) -> bool:
     """Return whether the runs that are held out in exchange confirm effects that were found in all others.
 
-    The other division of the runs was chosen because the first held-out runs contradicted. These are fitted now, so
-    that they confirm nothing. Runs that agreed with the machine without effects do, if they depend on each effect: a
-    cause that is present in one run alone, such as a loose connector, leaves no trace in them.
+    The other division of the runs was chosen because the first held-out runs contradicted. These are fitted
+    now, so that they confirm nothing. Runs that agreed with the machine without effects do, if they depend on
+    each effect: a cause that is present in one run alone, such as a loose connector, leaves no trace in them.
 
     Args:
         effects: What the runs that are held out now say about each effect.

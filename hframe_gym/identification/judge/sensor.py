@@ -1,4 +1,4 @@
-"""Judge sensors: whether one deviates alone, so that it or its mounting is in error, not the model of the motion."""
+"""Judge sensors: whether one deviates alone, so that it or its mounting is in error, not the model."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ class SensorEvidence:
 
     Attributes:
         noise_ratio: Simulation error of the sensor in units of its noise.
-        others: For each motion that the sensor measures, the error of each other sensor of this motion / the error that
-            it would have if the machine had moved as the sensor says.
+        others: For each motion that the sensor measures, the error of each other sensor of this motion / the
+            error that it would have if the machine had moved as the sensor says.
     """
 
     noise_ratio: float
@@ -23,7 +23,7 @@ class SensorEvidence:
 
 
 def deviates_alone(evidence: SensorEvidence) -> bool:
-    """Return whether an error is no noise, and other sensors of each motion exclude that it is one of this motion."""
+    """Return whether an error is no noise, and other sensors exclude that it is one of the motion."""
     if not evidence.noise_ratio**2 > FAR or not evidence.others:
         return False
     return all(ratios and all(FAR * ratio**2 < 1.0 for ratio in ratios) for ratios in evidence.others)

@@ -16,8 +16,8 @@ def confirms_table(left_out_ratio: float, criteria: SelectionCriteria) -> bool:
     """Return whether data to which a table was not fitted confirm it.
 
     Args:
-        left_out_ratio: Ratio of the cost of these data with the table / without it, a geometric mean; not finite if one
-            diverges.
+        left_out_ratio: Ratio of the cost of these data with the table / without it, a geometric mean; not
+            finite if one diverges.
         criteria: Decision threshold `max_table_cross_validation`.
     """
     return left_out_ratio < criteria.max_table_cross_validation
@@ -26,8 +26,8 @@ def confirms_table(left_out_ratio: float, criteria: SelectionCriteria) -> bool:
 def confirms_knots(left_out_ratio: float) -> bool:
     """Return whether moved knots reduce the cost of data to which they were not fitted.
 
-    Any reduction suffices, because few runs reach the ends of a table, so that its error there is uncertain: how
-    large the gain must be, `moves_knots` asks.
+    Any reduction suffices, because few runs reach the ends of a table, so that its error there is uncertain:
+    how large the gain must be, `moves_knots` asks.
 
     Args:
         left_out_ratio: Ratio of the cost of these data with the moved knots / with the former ones.
@@ -70,8 +70,9 @@ class TableEvidence:
 def accepts_table(evidence: TableEvidence) -> bool:
     """Return whether a machine with tables is accepted in place of the best machines without tables.
 
-    It is if it explains the data, or if its error is a tenth (`FAR`) of theirs. Where tables replace two or more
-    effects, half the error (`CLEAR`) of the machine with effects suffices: several effects may only imitate one curve.
+    It is if it explains the data, or if its error is a tenth (`FAR`) of theirs. Where tables replace two or
+    more effects, half the error (`CLEAR`) of the machine with effects suffices: several effects may only
+    imitate one curve.
 
     Args:
         evidence: Errors of the machines.
@@ -84,10 +85,10 @@ def accepts_table(evidence: TableEvidence) -> bool:
 
 
 def is_one_curve(table: float, effects: float) -> bool:
-    """Return whether effects of one variable only imitate a curve of another form, which a table in their place shows.
+    """Return whether effects of a variable imitate a curve of another form, as a table in their place shows.
 
-    At the widest observer they may explain the data; the error of their forms adds up in a simulation. Where effects
-    are right, a table resolves their curve at best as well as they do.
+    At the widest observer they may explain the data; the error of their forms adds up in a simulation. Where
+    effects are right, a table resolves their curve at best as well as they do.
 
     Args:
         table: Cost of the simulation with the table in place of the effects, dimensionless.
@@ -97,7 +98,7 @@ def is_one_curve(table: float, effects: float) -> bool:
 
 
 def recommended_formula(errors: Sequence[float]) -> int | None:
-    """Return which formula takes the place of a table: the simplest one that is as good as the best; None without any.
+    """Return which formula replaces a table: the simplest that is as good as the best, or None.
 
     Args:
         errors: Root mean square errors of the formulas, in units of the noise, the simplest formula first.

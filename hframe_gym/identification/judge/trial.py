@@ -35,7 +35,7 @@ def promises_enough_force(size: float, residue: float, criteria: SelectionCriter
 
 
 def explains_alone(error: FitError, best: FitError | None, criteria: SelectionCriteria) -> bool:
-    """Return whether the best trial explains the data, so that only its possible rivals are fitted as well."""
+    """Return whether the best trial explains the data, so that only its possible rivals are fitted."""
     return unexplained_fraction(error, best) < criteria.rival_remainder
 
 
@@ -76,9 +76,10 @@ def may_be_local_minimum(
 
 
 def least_structural_promise(useful: float, enough: float, criteria: SelectionCriteria) -> float:
-    """Return the linearized gain, dimensionless, above which an effect that replaces a part of the model is fitted.
+    """Return the linearized gain, dimensionless, above which an effect that replaces a part is fitted.
 
-    Where no other effect is useful, every candidate may be needed: the linearization underestimates their gain.
+    Where no other effect is useful, every candidate may be needed: the linearization underestimates their
+    gain.
 
     Args:
         useful: Best gain of a trial with another effect, chi-squared per sample, dimensionless.
@@ -95,7 +96,8 @@ class StructureEvidence:
     Attributes:
         error: Error of the present fit.
         best: Smallest error of a trial with another effect; None without trials.
-        best_remembers: Whether this trial adds a force with memory; friction with memory, a structure, is similar.
+        best_remembers: Whether this trial adds a force with memory; friction with memory, a structure, is
+            similar.
         failed_bandwidth: Bandwidth at which structures were last tried in vain, rad/s; not a number if never.
         failed_excess: Excess of the error at that time.
     """
@@ -110,8 +112,8 @@ class StructureEvidence:
 def is_worth_structures(evidence: StructureEvidence, criteria: SelectionCriteria) -> bool:
     """Return whether effects that replace a part of the model are tried: the others leave much of the error.
 
-    Their simulations must first be compiled. After a trial in vain, the error must have become clearly smaller. An
-    excess below the least gain of an effect is none of theirs either.
+    Their simulations must first be compiled. After a trial in vain, the error must have become clearly
+    smaller. An excess below the least gain of an effect is none of theirs either.
 
     Args:
         evidence: The present errors, and those at the last trial.
@@ -157,8 +159,9 @@ def largest_useful_cost(error: FitError, enough: float, criteria: SelectionCrite
 def gives_way(gain: float, best_other: float) -> bool:
     """Return whether a trial with a parameter at the limit of its range gives way to trials without.
 
-    Its effect would be removed at the end (`judge.effect.parameter_at_limit`); until then, it would hide what another
-    effect explains. While other effects are missing, a right effect may be at a limit as well, and explain far more.
+    Its effect would be removed at the end (`judge.effect.parameter_at_limit`); until then, it would hide what
+    another effect explains. While other effects are missing, a right effect may be at a limit as well, and
+    explain far more.
 
     Args:
         gain: Reduction of the cost by the trial, dimensionless.
@@ -176,8 +179,8 @@ def search_goes_on(
         error: Error with the effects selected up to now.
         selected: Their number.
         criteria: Decision thresholds `max_effects` and `min_gain`.
-        noise_known: Whether the size of the noise is known, so that an error of that size has no other cause. The
-            errors of voltages between the rows of a log are known within a factor of four only.
+        noise_known: Whether the size of the noise is known, so that an error of that size has no other cause.
+            The errors of voltages between the rows of a log are known within a factor of four only.
     """
     return selected < criteria.max_effects and not (noise_known and only_noise_is_left(error, criteria))
 
@@ -185,7 +188,8 @@ def search_goes_on(
 def is_worth_searching_pairs(error: FitError, selected: int, criteria: SelectionCriteria) -> bool:
     """Return whether to search for two effects that reduce the error only together.
 
-    Not if the selected effects nearly explain the data: a pair that fits the small rest may be none of the machine's.
+    Not if the selected effects nearly explain the data: a pair that fits the small rest may be none of the
+    machine's.
 
     Args:
         error: Error with the effects selected up to now.
@@ -196,15 +200,15 @@ def is_worth_searching_pairs(error: FitError, selected: int, criteria: Selection
 
 
 def is_worth_comparing_rivals(error: FitError, criteria: SelectionCriteria) -> bool:
-    """Return whether rivals are compared before the search goes on: perhaps nothing is wrong but one of them."""
+    """Return whether rivals are compared before the next step: perhaps nothing is wrong but one of them."""
     return not error.simulated and nearly_explains(error, criteria)
 
 
 def is_worth_narrower_observer(wider: FitError, simulated: FitError, criteria: SelectionCriteria) -> bool:
     """Return whether effects are searched for with a still narrower observer, at last in simulation.
 
-    The model must nearly explain the data with the one before, while much is left in simulation. An error of a sensor
-    that changes over the whole travel, for example, is too slow for all observers.
+    The model must nearly explain the data with the one before, while much is left in simulation. An error of
+    a sensor that changes over the whole travel, for example, is too slow for all observers.
 
     Args:
         wider: Error with the observer that was tried before.

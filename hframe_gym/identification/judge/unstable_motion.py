@@ -1,9 +1,10 @@
 """Judge a machine along an unstable motion, where the simulation of a complete run says nothing.
 
-Where a force drives the machine away from its path, as at the top of a pendulum or of cogging, an error as small as the
-noise grows along the run. A little difference there decides to which side a simulation goes on, so that an exact
-machine errs as well, and of two machines whose simulations have lost the run, the one with the smaller error has it by
-chance. An observer confines an error to some tenths of a second: predictions are the only evidence.
+Where a force drives the machine away from its path, as at the top of a pendulum or of cogging, an error as
+small as the noise grows along the run. A little difference there decides to which side a simulation goes on,
+so that an exact machine errs as well, and of two machines whose simulations have lost the run, the one with
+the smaller error has it by chance. An observer confines an error to some tenths of a second: predictions are
+the only evidence.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ class UnstableMotion:
     Attributes:
         enlarged: How many times a simulation enlarges an error of the size of the noise, dimensionless
             (`unstable_motion.enlargement`).
-        predicted: Squared error of predictions with the observer that judges / that of an exact machine, dimensionless,
-            of the run and sensor with the largest one; infinite if a prediction diverges.
+        predicted: Squared error of predictions with the observer that judges / that of an exact machine,
+            dimensionless, of the run and sensor with the largest one; infinite if a prediction diverges.
     """
 
     enlarged: float
@@ -30,7 +31,7 @@ class UnstableMotion:
 
 
 def is_unstable(enlarged: float, criteria: SelectionCriteria) -> bool:
-    """Return whether a motion is unstable: an error as small as the noise leaves more than noise in a simulation.
+    """Return whether a motion is unstable: errors as small as noise leave more than noise in a simulation.
 
     Args:
         enlarged: How many times a simulation enlarges an error of the size of the noise, dimensionless.
@@ -47,18 +48,18 @@ def largest_grown_error(motion: UnstableMotion, criteria: SelectionCriteria) -> 
 def predictions_explain(motion: UnstableMotion) -> bool:
     """Return whether predictions explain an unstable motion as well as those of an exact machine.
 
-    Elsewhere, an error beyond the noise must be small in predictions and in simulation. Here predictions are the only
-    evidence, so that they must be as good as those of an exact machine: of a pendulum without its Stribeck friction,
-    they leave 1.23 times as much, with it 0.97 times.
+    Elsewhere, an error beyond the noise must be small in predictions and in simulation. Here predictions are
+    the only evidence, so that they must be as good as those of an exact machine: of a pendulum without its
+    Stribeck friction, they leave 1.23 times as much, with it 0.97 times.
     """
     return motion.predicted <= AS_GOOD
 
 
 def explains_unstable_motion(left: float, motion: UnstableMotion | None, criteria: SelectionCriteria) -> bool:
-    """Return whether the error of a simulation is what an unstable motion makes of noise, and predictions explain it.
+    """Return whether a simulation's error is what an unstable motion makes of noise, by predictions.
 
-    Such a machine is not replaced by a simpler one whose simulation errs less. What errs by more than noise that has
-    grown lacks something, which an observer must not hide.
+    Such a machine is not replaced by a simpler one whose simulation errs less. What errs by more than noise
+    that has grown lacks something, which an observer must not hide.
 
     Args:
         left: Simulation error in units of the noise, dimensionless; not a number if the simulation diverges.

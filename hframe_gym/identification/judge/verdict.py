@@ -1,8 +1,8 @@
-"""Reach the verdict: by the fitted runs first, then by the held-out ones, against whose error names must hold.
+"""Reach the verdict: by the fitted runs, then by the held-out ones, against whose error names must hold.
 
-A search decides by the fitted runs, in units of the noise that it estimated. Both may deceive it: a noise that is too
-large explains every error, and the best of a few hundred effects removes a part of almost any error. The errors of the
-held-out runs, in units of the sensors' noise at rest, depend on neither.
+A search decides by the fitted runs, in units of the noise that it estimated. Both may deceive it: a noise
+that is too large explains every error, and the best of a few hundred effects removes a part of almost any
+error. The errors of the held-out runs, in units of the sensors' noise at rest, depend on neither.
 """
 
 from __future__ import annotations
@@ -24,26 +24,28 @@ Verdict = Literal["effect_found", "no_effect", "unexplained"]
 class VerdictEvidence:
     """What the held-out runs say about the refitted machine (before) and the machine with effects (after).
 
-    Runs that contradict the fitted ones do not count, unless all of them do. A machine whose simulation diverges has
-    infinite errors.
+    Runs that contradict the fitted ones do not count, unless all of them do. A machine whose simulation
+    diverges has infinite errors.
 
     Attributes:
-        left: Simulation error with the effects, in multiples of the noise at rest, rms over channels. In a log that is
-            slower than its controller, of what noise and the unknown voltages between the rows cause together.
+        left: Simulation error with the effects, in multiples of the noise at rest, rms over channels. In a
+            log that is slower than its controller, of what noise and the unknown voltages between the rows
+            cause together.
         left_before: The same without effects.
         motion: Simulation error with the effects relative to the motion, rms over the channels.
         lacking: Force that the machine with effects lacks, relative to that of the drives.
-        remaining_prediction: Fraction of the squared error of predictions, beyond the noise at rest, that the effects
-            leave. An observer corrects these predictions by the measurements.
+        remaining_prediction: Fraction of the squared error of predictions, beyond the noise at rest, that the
+            effects leave. An observer corrects these predictions by the measurements.
         causes_named: Whether the effects act where the force comes from that is missing without them
             (`dependences.agree_with_causes`).
-        remaining_fast: The same fraction as `remaining_prediction` with the widest observer, which hides slow forces.
-        reduction: By how much the effects reduce the squared error of predictions / by how much they do if they are
-            right, which is the square of their change of the predictions, dimensionless.
+        remaining_fast: The same fraction as `remaining_prediction` with the widest observer, which hides slow
+            forces.
+        reduction: By how much the effects reduce the squared error of predictions / by how much they do if
+            they are right, which is the square of their change of the predictions, dimensionless.
         voltages_known: Whether the log contains all voltages.
-        predicted: Chi-squared per sample of predictions, of what noise and unknown voltages cause: the larger one of
-            the widest observer and the one that judges effects. Only where no effect is named, of a log that is slower
-            than its controller.
+        predicted: Chi-squared per sample of predictions, of what noise and unknown voltages cause: the larger
+            one of the widest observer and the one that judges effects. Only where no effect is named, of a
+            log that is slower than its controller.
         unstable: What is known of the motion if it is unstable, None if it is stable or only noise is left.
     """
 
@@ -89,8 +91,8 @@ def remaining(after: float, before: float, floor: float) -> float:
         floor: The same of an exact machine, dimensionless.
 
     Returns:
-        Fraction, 0 or more; infinite if the machine with effects diverges, or if it leaves an error where there was
-        none.
+        Fraction, 0 or more; infinite if the machine with effects diverges, or if it leaves an error where
+        there was none.
     """
     left, total = max(after - floor, 0.0), max(before - floor, 0.0)
     if not math.isfinite(left):
@@ -101,9 +103,9 @@ def remaining(after: float, before: float, floor: float) -> float:
 def error_beyond_noise(motion: float, left: float) -> float:
     """Return the largest error of a machine that the noise may hide, relative to the motion.
 
-    It is the part of the squared error beyond the noise, but at least the part within which two errors are as good as
-    each other, because the noise is not known better. The many samples of an accelerometer show an error far below the
-    noise of each of them.
+    It is the part of the squared error beyond the noise, but at least the part within which two errors are as
+    good as each other, because the noise is not known better. The many samples of an accelerometer show an
+    error far below the noise of each of them.
 
     Args:
         motion: Error relative to the motion, noise included.
@@ -116,9 +118,10 @@ def error_beyond_noise(motion: float, left: float) -> float:
 def contradiction_of_no_effect(evidence: VerdictEvidence, criteria: SelectionCriteria) -> str:
     """Return why the held-out runs contradict that no effect is missing, or "" if they do not.
 
-    In a log that is slower than its controller, the simulation error is compared with that of noise and unknown
-    voltages, whose size is known within a factor of two. Where the motion is unstable, it is compared with what an
-    error of the size of the noise grows to. Predictions, in which neither adds up, must be explained as well.
+    In a log that is slower than its controller, the simulation error is compared with that of noise and
+    unknown voltages, whose size is known within a factor of two. Where the motion is unstable, it is compared
+    with what an error of the size of the noise grows to. Predictions, in which neither adds up, must be
+    explained as well.
 
     Args:
         evidence: What the held-out runs say; the machine of the verdict is "after".
@@ -159,12 +162,14 @@ def contradiction_of_no_effect(evidence: VerdictEvidence, criteria: SelectionCri
 def contradiction_of_names(evidence: VerdictEvidence, explained: bool, criteria: SelectionCriteria) -> str:
     """Return why the held-out runs do not permit to name effects, or "" if they do.
 
-    Effects are named if they leave hardly more than noise, if what they leave is small against what they explain, or if
-    it has another cause (unknown voltages, a slow force) and they remove as much as effects of their size must.
+    Effects are named if they leave hardly more than noise, if what they leave is small against what they
+    explain, or if it has another cause (unknown voltages, a slow force) and they remove as much as effects of
+    their size must.
 
     Args:
         evidence: What the held-out runs say.
-        explained: Whether the machine with effects explains the fitted runs, at the noise and the observer of the fit.
+        explained: Whether the machine with effects explains the fitted runs, at the noise and the observer of
+            the fit.
         criteria: Decision thresholds `max_noise_ratio_explained`, `max_remaining` and `max_partial_excess`.
 
     Returns:
@@ -172,23 +177,24 @@ def contradiction_of_names(evidence: VerdictEvidence, explained: bool, criteria:
     """
     if evidence.left <= criteria.max_noise_ratio_explained:
         return ""
-    # In a simulation, errors of a force add up, so that the parameters that are fitted beside a wrong effect may reduce
-    # its error many times; the error of predictions counts. But of a machine that nearly fits, an observer hides much.
-    # Along an unstable motion, a simulation errs by chance.
+    # In a simulation, errors of a force add up, so that the parameters that are fitted beside a wrong effect
+    # may reduce its error many times; the error of predictions counts. But of a machine that nearly fits, an
+    # observer hides much. Along an unstable motion, a simulation errs by chance.
     measured = evidence.remaining_prediction
     if explained and evidence.unstable is None:
         measured = min(measured, evidence.remaining_simulation)
-    # What has another cause may leave more than the effects remove: the unknown voltages of a slow log, whose size is
-    # known within a factor of four only, or a slow force beside effects that leave little of what is fast. The effects
-    # hold if they remove as much as they must: of one that imitates a part of the error, less is seen elsewhere.
+    # What has another cause may leave more than the effects remove: the unknown voltages of a slow log, whose
+    # size is known within a factor of four only, or a slow force beside effects that leave little of what is
+    # fast. The effects hold if they remove as much as they must: of one that imitates a part of the error,
+    # less is seen elsewhere.
     if explained:
         other_cause = not evidence.voltages_known
     else:
         other_cause = evidence.causes_named and evidence.remaining_fast <= criteria.max_partial_excess
     if other_cause and AS_GOOD * evidence.reduction >= 1.0:
         return ""
-    # Of a real machine, a tenth of the error may remain whatever is added. Effects that are its main causes hold all
-    # the same; a wrong effect that imitates a cause acts elsewhere, or depends on another variable.
+    # Of a real machine, a tenth of the error may remain whatever is added. Effects that are its main causes
+    # hold all the same; a wrong effect that imitates a cause acts elsewhere, or depends on another variable.
     partial = criteria.max_partial_excess if evidence.causes_named else criteria.max_remaining
     limit = (
         1.0 / CLEAR if explained else partial
@@ -201,8 +207,9 @@ def contradiction_of_names(evidence: VerdictEvidence, explained: bool, criteria:
     )
 
 
-# Bandwidth of the observer with which the held-out runs judge effects, rad/s: slow enough to show what a missing force
-# does over some tenths of a second, fast enough that its errors do not add up over the run (synthetic rigs).
+# Bandwidth of the observer with which the held-out runs judge effects, rad/s: slow enough to show what a
+# missing force does over some tenths of a second, fast enough that its errors do not add up over the run
+# (synthetic rigs).
 JUDGING_BANDWIDTH = 15.0
 
 
@@ -235,15 +242,17 @@ def explains_most(evidence: PartialEvidence, criteria: SelectionCriteria) -> boo
 def verdict_of_effects(
     any_effect: bool, drift: str, explained: Callable[[], bool]
 ) -> tuple[Verdict, str] | None:
-    """Return the verdict on effects of the library if a table cannot change it, and why its effects are not used.
+    """Return the verdict on effects of the library if a table cannot change it, and why they are not used.
 
     Args:
         any_effect: Whether effects passed all tests.
-        drift: Name of a parameter that differs from run to run, which these effects imitate; "" if there is none.
+        drift: Name of a parameter that differs from run to run, which these effects imitate; "" if there is
+            none.
         explained: Function that returns whether the machine with the effects explains the data.
 
     Returns:
-        Verdict, and a clause that follows "it " if effects are removed; None where a table may explain the error.
+        Verdict, and a clause that follows "it " if effects are removed; None where a table may explain the
+        error.
     """
     if drift:
         return "unexplained", less_well_than_by_run(drift)
@@ -259,14 +268,14 @@ def verdict_of_rest(
     evidence: Callable[[], PartialEvidence],
     criteria: SelectionCriteria,
 ) -> tuple[Verdict, str]:
-    """Return the verdict where an error remains that neither effects nor a table describe, and why effects are removed.
+    """Return the verdict where neither effects nor a table describe an error, and why effects are removed.
 
     Args:
         any_effect: Whether effects passed all tests.
-        runs_differ: Function that returns whether another value of a parameter in each run explains the runs, as no
-            effect can.
-        voltages_may_cause: Whether unknown voltages between the rows may cause all that is left. The held-out runs then
-            judge the effects by what they remove.
+        runs_differ: Function that returns whether another value of a parameter in each run explains the runs,
+            as no effect can.
+        voltages_may_cause: Whether unknown voltages between the rows may cause all that is left. The held-out
+            runs then judge the effects by what they remove.
         evidence: Function that returns the errors with and without effects.
         criteria: Decision threshold `max_partial_excess`.
     """
@@ -289,7 +298,7 @@ def verdict_after_removal(verdict: Verdict, any_effect: bool, refitted_explains:
 
 
 def final_verdict(verdict: Verdict, *, any_effect: bool) -> Verdict:
-    """Return the verdict of the report: a sensor at the end of its range is an effect, although none was searched for.
+    """Return the verdict of the report: a sensor at the end of its range is an effect, though never searched.
 
     Args:
         verdict: Verdict of the search and of the held-out runs.

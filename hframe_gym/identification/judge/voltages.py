@@ -10,11 +10,12 @@ from ...arrays import Array
 from .criteria import SelectionCriteria
 from .error import AS_GOOD, CLEAR, FitError, is_enough, required_gain, voltages_may_cause
 
-# Fraction of the changes of the commands that follow a change in the row before. A controller that is faster than the
-# log changes its output in row after row while the machine moves (0.88 to 1.0), steps and square waves do not (0).
+# Fraction of the changes of the commands that follow a change in the row before. A controller that is faster
+# than the log changes its output in row after row while the machine moves (0.88 to 1.0), steps and square
+# waves do not (0).
 ROW_AFTER_ROW = 0.5
-# Standard deviations from which on an indicated delay of the voltages is clear: chance exceeds them once in a thousand
-# times. One delay is asked for after each effect, and not the best of hundreds of candidates.
+# Standard deviations from which on an indicated delay of the voltages is clear: chance exceeds them once in a
+# thousand times. One delay is asked for after each effect, and not the best of hundreds of candidates.
 CLEAR_DELAY = 3.3
 
 
@@ -24,8 +25,8 @@ class UpdatesEvidence:
 
     Attributes:
         held: Error of the fit with voltages that are held from row to row.
-        updated: Error of the fit with interpolated voltages that change between the rows; its floor includes what the
-            errors of these voltages cause.
+        updated: Error of the fit with interpolated voltages that change between the rows; its floor includes
+            what the errors of these voltages cause.
         better: Fraction of the runs whose error the second fit reduces.
     """
 
@@ -37,11 +38,12 @@ class UpdatesEvidence:
 def may_change_between_rows(successive: float) -> bool:
     """Return whether the commands of a log may be those of a controller that is faster than the log.
 
-    A command that rests between its changes is not computed more often than it is logged. To interpolate its steps
-    only moves them, as a shorter delay does.
+    A command that rests between its changes is not computed more often than it is logged. To interpolate its
+    steps only moves them, as a shorter delay does.
 
     Args:
-        successive: Fraction of the changes of the commands that follow a change in the row before, dimensionless.
+        successive: Fraction of the changes of the commands that follow a change in the row before,
+            dimensionless.
     """
     return successive > ROW_AFTER_ROW
 
@@ -49,9 +51,9 @@ def may_change_between_rows(successive: float) -> bool:
 def commands_are_held_over_gaps(held: Array, interpolated: Array) -> bool:
     """Return whether commands that rest between their changes keep their last value in the gaps of a log.
 
-    They do if a controller that was late neither computed nor logged anything. If only the logger was late, they
-    changed somewhere in the gap, and are on average what a straight line over the gap is: recorded rows cannot tell,
-    the motion after the gaps does.
+    They do if a controller that was late neither computed nor logged anything. If only the logger was late,
+    they changed somewhere in the gap, and are on average what a straight line over the gap is: recorded rows
+    cannot tell, the motion after the gaps does.
 
     Args:
         held: Cost of each run with commands that are held over its gaps, shape (runs,).
@@ -63,8 +65,9 @@ def commands_are_held_over_gaps(held: Array, interpolated: Array) -> bool:
 def replaces_held_commands(estimated: FitError, held: FitError) -> bool:
     """Return whether estimated voltages take the place of commands that are held over the gaps of a run.
 
-    A held command is known, and an estimate only takes up what the machine lacks: a joint whose commands were 0.1 and
-    0.2 Nm seemed to have -0.7 Nm between them. A step within a gap leaves far more of the motion than its estimate.
+    A held command is known, and an estimate only takes up what the machine lacks: a joint whose commands were
+    0.1 and 0.2 Nm seemed to have -0.7 Nm between them. A step within a gap leaves far more of the motion than
+    its estimate.
 
     Args:
         estimated: Error of the run with estimated voltages.
@@ -76,9 +79,10 @@ def replaces_held_commands(estimated: FitError, held: FitError) -> bool:
 def voltages_change_between_rows(evidence: UpdatesEvidence, criteria: SelectionCriteria) -> bool:
     """Return whether the voltages change between the rows, instead of being held.
 
-    Held voltages must leave clearly more of the error that noise and the unknown voltages do not cause, in most runs.
-    Changes must reduce the error itself as well, although interpolation adds one of its own: where voltages are held,
-    it adds much more, and reduces nothing (eleven rigs; a machine without one of two effects: by 1.4 %).
+    Held voltages must leave clearly more of the error that noise and the unknown voltages do not cause, in
+    most runs. Changes must reduce the error itself as well, although interpolation adds one of its own: where
+    voltages are held, it adds much more, and reduces nothing (eleven rigs; a machine without one of two
+    effects: by 1.4 %).
 
     Args:
         evidence: Errors with held and with changing voltages.
@@ -90,22 +94,23 @@ def voltages_change_between_rows(evidence: UpdatesEvidence, criteria: SelectionC
 
 
 def voltages_change_at_another_rate(delay: float, deviation: float) -> bool:
-    """Return whether interpolated voltages may change more or less often from row to row than a search has assumed.
+    """Return whether interpolated voltages may change more or less often per row than a search has assumed.
 
     Args:
         delay: By how much later the voltages act than this number says, in sampling periods, dimensionless.
-        deviation: Standard deviation of this delay, the accuracy of the times of recordings included, dimensionless.
+        deviation: Standard deviation of this delay, the accuracy of the times of recordings included,
+            dimensionless.
     """
     return abs(delay) > CLEAR_DELAY * deviation
 
 
 def another_rate_explains_more(present: FitError, other: FitError, criteria: SelectionCriteria) -> bool:
-    """Return whether a search begins again because voltages change at another rate from row to row than it assumed.
+    """Return whether a search begins again because voltages change at another rate per row than it assumed.
 
-    Instruments have found another delay, clearly. What a machine lacks moves this delay too, such as the inductance of
-    a motor: where the unknown voltages cannot cause all that is left, another number must reduce the error by as much
-    as an effect must. Where they can, the error tells numbers apart less well than the delay and prefers too many, so
-    that another one only must not raise it by as much.
+    Instruments have found another delay, clearly. What a machine lacks moves this delay too, such as the
+    inductance of a motor: where the unknown voltages cannot cause all that is left, another number must
+    reduce the error by as much as an effect must. Where they can, the error tells numbers apart less well
+    than the delay and prefers too many, so that another one only must not raise it by as much.
 
     Args:
         present: Error of a fit with the present number of changes.
@@ -118,10 +123,11 @@ def another_rate_explains_more(present: FitError, other: FitError, criteria: Sel
 
 
 def drives_delay_voltages(counted: FitError, delayed: FitError, criteria: SelectionCriteria) -> bool:
-    """Return whether drives with a delay or lag, and not fewer changes a row, let voltages act later than assumed.
+    """Return whether drives with a delay or lag, not fewer changes a row, let voltages act later.
 
-    Fewer changes act later as well and need no effect: where both explain the same, no delay is there. Where unknown
-    voltages cannot cause all that is left, a missing effect may move the delay, so that nothing tells.
+    Fewer changes act later as well and need no effect: where both explain the same, no delay is there. Where
+    unknown voltages cannot cause all that is left, a missing effect may move the delay, so that nothing
+    tells.
 
     Args:
         counted: Error with the number of changes whose delay is closest to the one found.
@@ -136,10 +142,11 @@ def drives_delay_voltages(counted: FitError, delayed: FitError, criteria: Select
 def interpolation_suffices(simulated: Array) -> bool:
     """Return whether interpolated voltages simulate a machine as well as known ones would.
 
-    Set points of a planner are smooth between the rows; the voltages of a controller that answers noise are not.
+    Set points of a planner are smooth between the rows; the voltages of a controller that answers noise are
+    not.
 
     Args:
-        simulated: Errors that those of the interpolation cause in simulations, in units of the noise of each sensor,
-            dimensionless, shape (sensors,); not finite where the simulation diverges.
+        simulated: Errors that those of the interpolation cause in simulations, in units of the noise of each
+            sensor, dimensionless, shape (sensors,); not finite where the simulation diverges.
     """
     return bool(np.all(1.0 + simulated**2 < AS_GOOD))

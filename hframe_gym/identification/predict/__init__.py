@@ -1,1 +1,1 @@
-"""Predict runs with a machine: residuals, their linearization over parameters, and the uncertain start of a run."""
+"""Predict runs with a machine: residuals, their derivatives by parameters, and a run's uncertain start."""

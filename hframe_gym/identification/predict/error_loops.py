@@ -1,8 +1,8 @@
 """Loops over predictions that compare them with the measurements: one pass each, without intermediate arrays.
 
-The values of a few rows, all sensors of a row before the next one, are processed together: a loop over them is long
-enough for the processor's vector instructions, one over the sensors is not. It counts from the first value of slices,
-because an index that may be negative prevents these instructions.
+The values of a few rows, all sensors of a row before the next one, are processed together: a loop over them
+is long enough for the processor's vector instructions, one over the sensors is not. It counts from the first
+value of slices, because an index that may be negative prevents these instructions.
 """
 # mypy: ignore-errors
 
@@ -52,14 +52,15 @@ def mean_errors(measured, predicted, weights, begin: int, end: int):
 
 @compiled
 def scaled_errors(measured, predicted, zeros, scales, rows_per_block: int):
-    """Return (measured - predicted - zero) * scale, summed over blocks of rows, shape (batch, blocks, sensors).
+    """Return (measured - predicted - zero) * scale, summed by blocks of rows, shape (batch, blocks, sensors).
 
     Args:
         measured: Measurements, in the sensors' units, any number where not measured, shape (n, sensors).
         predicted: Predicted measurements, in the sensors' units, shape (batch, n, sensors).
         zeros: Errors of the sensors' zeros, in the sensors' units, shape (batch, sensors).
         scales: Scales, any unit, shape (n, sensors).
-        rows_per_block: Number of consecutive rows in a block; rows after the last complete block are left out.
+        rows_per_block: Number of consecutive rows in a block; rows after the last complete block are left
+            out.
     """
     if rows_per_block == 1:
         return _errors_of_rows(measured, predicted, zeros, scales)

@@ -1,4 +1,4 @@
-"""Free parameters of a fit: which parameters of a machine are estimated, in which coordinates, with which prior."""
+"""Free parameters of a fit: which parameters of a machine are estimated, in which coordinates and prior."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from scipy.optimize import lsq_linear
 from ...arrays import Array
 from ...machine import DRIVE_KINDS, Drive, Machine
 
-# Standard deviations of the priors, relative to the declared value.  Dry friction and viscous friction vary most from
-# one machine to the next, belt lengths least.
+# Standard deviations of the priors, relative to the declared value. Dry friction and viscous friction vary
+# most from one machine to the next, belt lengths least.
 _MASS_PRIOR = 0.3
 _FRICTION_PRIOR = 0.7
 _BELT_PRIOR = 0.3
 _LENGTH_PRIOR = 0.1
 _MOTOR_PRIOR = 0.2
 _EFFECT_PRIOR = 0.5
-# The logarithm of a parameter of the machine may move this many standard deviations of its prior. With wider limits, a
-# refit without the missing effects may end so far away (a mass twenty times the declared one instead of a spring) that
-# the search does not return. Linear parameters of effects have no such limit, because the typical sizes by which they
-# are divided are only rough estimates (a spring may be stronger than the drives).
+# The logarithm of a parameter of the machine may move this many standard deviations of its prior. With wider
+# limits, a refit without the missing effects may end so far away (a mass twenty times the declared one
+# instead of a spring) that the search does not return. Linear parameters of effects have no such limit,
+# because the typical sizes by which they are divided are only rough estimates (a spring may be stronger than
+# the drives).
 _MAXIMUM_DEVIATION = 4.0
 _LIMIT_TOLERANCE = 0.01  # relative
 # Friction of a coordinate that declares none: unit of theta as a fraction of the typical force.
@@ -44,11 +45,11 @@ class FreeParameter:
         scale: Change of the value per unit of theta, SI; None for a parameter that is fitted as a logarithm.
         lower: Lower bound of the value.
         upper: Upper bound of the value.
-        along: Name of the table (curve given by its values at knots) of which this parameter is one value; "" if it
-            belongs to no table. Values of one table follow each other in order; the prior also penalizes their second
-            differences.
-        switch: Whether the parameter is a threshold: predictions change in steps as it changes. Derivatives do not lead
-            to its value, so a fit also tries values at a distance.
+        along: Name of the table (curve given by its values at knots) of which this parameter is one value; ""
+            if it belongs to no table. Values of one table follow each other in order; the prior also
+            penalizes their second differences.
+        switch: Whether the parameter is a threshold: predictions change in steps as it changes. Derivatives
+            do not lead to its value, so a fit also tries values at a distance.
     """
 
     name: str
@@ -69,8 +70,8 @@ class FreeParameter:
     def theta_limits(self) -> tuple[float, float]:
         """Smallest and largest theta (dimensionless variable of the optimizer) that a fit may reach.
 
-        They are +-4 standard deviations of the prior for a parameter that is fitted as a logarithm. For any other
-        parameter, the bounds of its value determine them.
+        They are +-4 standard deviations of the prior for a parameter that is fitted as a logarithm. For any
+        other parameter, the bounds of its value determine them.
         """
         if self.scale is None:
             return -_MAXIMUM_DEVIATION * self.prior, _MAXIMUM_DEVIATION * self.prior
@@ -84,8 +85,8 @@ class FreeParameter:
             theta: Dimensionless optimizer variable that the fit returned.
 
         Returns:
-            True if theta has passed 99 % of the way from 0 to its smallest or largest permitted value (`theta_limits`).
-            A limit at 0 does not count: friction that is declared as zero may remain zero.
+            True if theta has passed 99 % of the way from 0 to its smallest or largest permitted value
+            (`theta_limits`). A limit at 0 does not count: friction that is declared as zero may remain zero.
         """
         low, high = ((1.0 - _LIMIT_TOLERANCE) * limit for limit in self.theta_limits)
         return theta < low < 0.0 or 0.0 < high < theta
@@ -119,19 +120,20 @@ class FreeParameter:
         """Convert a value of the parameter to theta, the dimensionless variable of the optimizer.
 
         Args:
-            value: Value of the parameter, SI. If the parameter is fitted as a logarithm, the value must have the sign
-                of the attribute `center`.
+            value: Value of the parameter, SI. If the parameter is fitted as a logarithm, the value must have
+                the sign of the attribute `center`.
 
         Returns:
             Theta, dimensionless.
 
         Raises:
-            ValueError: If the parameter is fitted as a logarithm and the value is zero or has the opposite sign.
+            ValueError: If the parameter is fitted as a logarithm and the value is zero or has the opposite
+                sign.
         """
         return math.log(value / self.center) if self.scale is None else (value - self.center) / self.scale
 
     def slope(self, theta: float) -> float:
-        """Return the derivative of the parameter's value with respect to theta, the optimizer's dimensionless variable.
+        """Return the derivative of the parameter's value by theta, the optimizer's dimensionless variable.
 
         Args:
             theta: Theta at which the derivative is computed.
@@ -148,8 +150,8 @@ class FreeParameter:
             value: Value of the parameter, SI. It is used only if the parameter is fitted as a logarithm.
 
         Returns:
-            Standard deviation in the SI unit of the value: `prior` * |value| for a parameter that is fitted as a
-            logarithm, otherwise `prior` * `scale`.
+            Standard deviation in the SI unit of the value: `prior` * |value| for a parameter that is fitted
+            as a logarithm, otherwise `prior` * `scale`.
         """
         return self.prior * (abs(value) if self.scale is None else self.scale)
 
@@ -168,12 +170,13 @@ def values_at(free: Sequence[FreeParameter], theta: Array) -> dict[str, float]:
 
 
 def parameter_table(machine: Machine, free: Sequence[FreeParameter], thetas: Array) -> Array:
-    """Convert the optimizer's variables theta of several simulations to complete parameter vectors of the machine.
+    """Convert the optimizer's variables theta of several simulations to parameter vectors of the machine.
 
     Args:
         machine: Machine that supplies all parameters that are not free.
         free: Free parameters, k of them.
-        thetas: Dimensionless variable of each free parameter for every simulation of a batch, shape (batch, k).
+        thetas: Dimensionless variable of each free parameter for every simulation of a batch,
+            shape (batch, k).
 
     Returns:
         All parameters of the machine, SI, in the order of `Machine.parameters`, shape (batch, parameters), as
@@ -190,7 +193,7 @@ def parameter_table(machine: Machine, free: Sequence[FreeParameter], thetas: Arr
 
 
 def second_difference_penalty(count: int) -> Array:
-    """Return the matrix P for which y^T P y is the sum of squared second differences of the ordinates y of a curve.
+    """Return the matrix P for which y^T P y is the sum of squared second differences of ordinates y.
 
     Args:
         count: Number of ordinates.
@@ -204,11 +207,11 @@ def second_difference_penalty(count: int) -> Array:
 
 
 def prior_precision(free: Sequence[FreeParameter]) -> Array:
-    """Return the inverse covariance of the Gaussian prior of theta, the dimensionless variables of the optimizer.
+    """Return the inverse covariance of the Gaussian prior of theta, the optimizer's dimensionless variables.
 
-    The prior has mean 0 and independent components with the standard deviations `FreeParameter.prior`. Parameters that
-    are the ordinates of one table (a curve given by its values at knots) have a further prior: their second differences
-    have unit variance, which favors smooth curves.
+    The prior has mean 0 and independent components with the standard deviations `FreeParameter.prior`.
+    Parameters that are the ordinates of one table (a curve given by its values at knots) have a further
+    prior: their second differences have unit variance, which favors smooth curves.
 
     Args:
         free: Free parameters, k of them.
@@ -224,9 +227,10 @@ def prior_precision(free: Sequence[FreeParameter]) -> Array:
 
 
 def bounded_step(free: Sequence[FreeParameter], theta: Array, hessian: Array, gradient: Array) -> Array:
-    """Return the step of the optimizer's variables theta that minimizes a quadratic model of the cost within limits.
+    """Return the step of theta, the optimizer's variables, that minimizes a quadratic cost within limits.
 
-    The model is cost + 2 gradient^T step + step^T hessian step. Each theta stays within `FreeParameter.theta_limits`.
+    The model is cost + 2 gradient^T step + step^T hessian step. Each theta stays within
+    `FreeParameter.theta_limits`.
 
     Args:
         free: Free parameters, k of them, with the limits of theta.
@@ -235,8 +239,8 @@ def bounded_step(free: Sequence[FreeParameter], theta: Array, hessian: Array, gr
         gradient: Half the derivative of the cost at theta, dimensionless, shape (k,).
 
     Returns:
-        Step of theta, shape (k,): -hessian^-1 gradient if this stays within the limits, otherwise the minimum of the
-        model within the limits.
+        Step of theta, shape (k,): -hessian^-1 gradient if this stays within the limits, otherwise the minimum
+        of the model within the limits.
     """
     low, high = limits_of_theta(free)
     step = minimum_within(hessian, gradient, low - theta, high - theta)
@@ -270,13 +274,15 @@ def minimum_within(hessian: Array, gradient: Array, low: Array, high: Array) -> 
 
 
 def _minimum_by_active_sets(hessian: Array, gradient: Array, low: Array, high: Array) -> Array | None:
-    """Return the minimum of a quadratic model within limits, shape (k,); None if the sets at the limits do not settle.
+    """Return a quadratic model's minimum within limits, shape (k,); None if no set at the limits settles.
 
-    Each iteration holds those at a limit that the last minimum exceeds, or that its slope pushes against. Sets that
-    settle are those of the minimum, which is unique. This takes a quarter of the time of a search along the limits.
+    Each iteration holds those at a limit that the last minimum exceeds, or that its slope pushes against.
+    Sets that settle are those of the minimum, which is unique. This takes a quarter of the time of a search
+    along the limits.
 
     References:
-        Hintermueller, Ito and Kunisch (2002), "The primal-dual active set strategy as a semismooth Newton method".
+        Hintermueller, Ito and Kunisch (2002), "The primal-dual active set strategy as a semismooth Newton
+        method".
     """
     at_low = at_high = np.zeros(len(gradient), np.bool_)
     for _ in range(len(gradient)):
@@ -302,7 +308,8 @@ def _minimum_by_least_squares(hessian: Array, gradient: Array, limits: tuple[Arr
     A, b = scales[:, None] * axes.T, -(axes.T @ gradient) / scales
     with np.errstate(divide="ignore", invalid="ignore"):
         bounded = lsq_linear(A, b, limits, method="bvls").x
-    # SciPy's BVLS divides by zero where rounding moves a parameter past its limit; an interior-point method does not.
+    # SciPy's BVLS divides by zero where rounding moves a parameter past its limit; an interior-point method
+    # does not.
     return np.asarray(
         bounded if np.isfinite(bounded).all() else lsq_linear(A, b, limits, method="trf").x, np.float64
     )
@@ -334,27 +341,28 @@ def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[
     These are:
 
     - Mass, viscous friction and dry friction of every coordinate.
-    - The stiffness EA of every belt section. For a section whose length changes with the position of the machine, also
-      its constant part `rest_length`, the length at position 0.
+    - The stiffness EA of every belt section. For a section whose length changes with the position of the
+      machine, also its constant part `rest_length`, the length at position 0.
     - The torque constant Kt of every drive that sets no unit of force, and nonzero back-EMF constants Ke.
     - The gains and limits of every drive that follows a set point, without those at their defaults.
-    - The resistance of every drive whose current is measured and not controlled, which separates its electrical from
-      its mechanical side.
+    - The resistance of every drive whose current is measured and not controlled, which separates its
+      electrical from its mechanical side.
     - The parameters of declared effects.
 
-    Left out are parameters that the machine ties to others, and the torque constant of one drive (the `unit_of_force`
-    of a drive with a law, unless its torque or current is measured) in each group of coordinates between which forces
-    act. If all torque constants, masses, friction forces and stiffnesses of a group are multiplied by the same factor,
-    the same voltages cause the same motion. Recordings without a sensor of forces in the group therefore do not
-    determine this factor; the torque constant of its first drive sets it. The axes of a table are two groups.
+    Left out are parameters that the machine ties to others, and the torque constant of one drive (the
+    `unit_of_force` of a drive with a law, unless its torque or current is measured) in each group of
+    coordinates between which forces act. If all torque constants, masses, friction forces and stiffnesses of
+    a group are multiplied by the same factor, the same voltages cause the same motion. Recordings without a
+    sensor of forces in the group therefore do not determine this factor; the torque constant of its first
+    drive sets it. The axes of a table are two groups.
 
-    Friction that is declared as zero may become positive. Back-EMF acts like viscous friction, so the data determine
-    only their sum. Both are free, because this sum may be smaller than the declared back-EMF alone.
+    Friction that is declared as zero may become positive. Back-EMF acts like viscous friction, so the data
+    determine only their sum. Both are free, because this sum may be smaller than the declared back-EMF alone.
 
     Args:
         machine: Declared machine.
-        effects: Whether the nonzero parameters of the declared effects are included, unless an effect declares a
-            parameter as fixed.
+        effects: Whether the nonzero parameters of the declared effects are included, unless an effect
+            declares a parameter as fixed.
 
     Returns:
         Free parameters with their priors, centered on the declared values.
@@ -371,7 +379,8 @@ def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[
             free.append(FreeParameter(f"{drive.name}.Kt", drive.Kt, prior=_MOTOR_PRIOR))
     for drive in machine.drives:
         free += _law_parameters(drive, anchored=drive.name in setting_units and drive.name not in sensed)
-    # An amplifier that controls the current or the torque has no parameter for the resistance, which it overcomes.
+    # An amplifier that controls the current or the torque has no parameter for the resistance, which it
+    # overcomes.
     resistances = [
         drive
         for drive in machine.drives
@@ -388,7 +397,7 @@ def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[
 
 
 def _drives_that_set_units(machine: Machine) -> set[str]:
-    """Return the first drives of groups of coordinates between which forces act, without a sensor of forces."""
+    """Return the first drives of groups of coordinates between which forces act, without sensor of forces."""
     links = [set(belt.extension) for belt in machine.belts]
     links += [
         {e.coordinate, machine.coordinate_of_site(e.site, e.definition.site) or e.coordinate}
@@ -443,10 +452,11 @@ def _coordinate_parameters(machine: Machine) -> list[FreeParameter]:
 
 
 def _damping(name: str, value: float, prior: float) -> FreeParameter:
-    """Return a viscous friction or a back-EMF constant as a linear parameter, with the range of a logarithmic one.
+    """Return a viscous friction or back-EMF constant as a linear parameter, with a logarithmic one's range.
 
-    The data determine the sum of viscous friction and back-EMF only. The set of equal sums is straight in linear
-    parameters. In logarithms it is curved, and a fit that follows it to the most probable values does not converge.
+    The data determine the sum of viscous friction and back-EMF only. The set of equal sums is straight in
+    linear parameters. In logarithms it is curved, and a fit that follows it to the most probable values does
+    not converge.
     """
     factor = math.exp(_MAXIMUM_DEVIATION * prior)
     return FreeParameter(name, value, prior, scale=value, lower=value / factor, upper=value * factor)

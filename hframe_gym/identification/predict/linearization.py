@@ -1,10 +1,11 @@
 """Linearize the prediction residual of a data set around a machine's free parameters.
 
-All perturbed machines of a run are simulated in one batch, one SIMD lane per free parameter. The part of the residual
-that an unknown initial stretch of the belts explains is removed by projection.
+All perturbed machines of a run are simulated in one batch, one SIMD lane per free parameter. The part of the
+residual that an unknown initial stretch of the belts explains is removed by projection.
 
-Notation: theta (k,) are the optimizer's variables of the free parameters, r(theta) is the residual in units of the
-sensors' noise, J = dr/dtheta at the expansion point. E (m columns) are the changes of r by m perturbations.
+Notation: theta (k,) are the optimizer's variables of the free parameters, r(theta) is the residual in units
+of the sensors' noise, J = dr/dtheta at the expansion point. E (m columns) are the changes of r by m
+perturbations.
 """
 
 from __future__ import annotations
@@ -29,16 +30,18 @@ from .start_uncertainty import (
     uncertain_starts,
 )
 
-# Forward difference in units of theta: far above rounding, far below the scale on which the residual is nonlinear.
+# Forward difference in units of theta: far above rounding, far below the scale on which the residual is
+# nonlinear.
 DIFFERENCE_STEP = 1e-4
 # Where parts collide, the residual is a rugged function of all parameters; this shows its general slope.
 _IMPACT_DIFFERENCE_STEP = 0.01
-# Of a threshold, on which measurements depend in steps: wide enough for several recorded voltages to lie within.
+# Of a threshold, on which measurements depend in steps: wide enough for several recorded voltages to lie
+# within.
 _SWITCH_DIFFERENCE_STEP = 0.02
 
 
 def has_impacts(machine: Machine) -> bool:
-    """Check whether parts of a machine separate and collide, so that residuals are rugged functions of parameters.
+    """Check whether parts of a machine separate and collide, so that residuals are rugged in parameters.
 
     Args:
         machine: Machine with its effects, for example play.
@@ -53,8 +56,8 @@ def forward_differences(values: Array, step: float | Array) -> Array:
     """Approximate the derivatives of values with respect to k variables by forward differences.
 
     Args:
-        values: Values, any unit, shape (k + 1, ...): first at the expansion point, then with one variable after another
-            increased by `step`.
+        values: Values, any unit, shape (k + 1, ...): first at the expansion point, then with one variable
+            after another increased by `step`.
         step: Increment of each variable, in its unit; one for all, or shape (k,).
 
     Returns:
@@ -67,7 +70,7 @@ def forward_differences(values: Array, step: float | Array) -> Array:
 
 @dataclass(frozen=True)
 class RunLinearization:
-    """Linearized residual of one run in units of the noise, without the part that an error of the start explains.
+    """Linearized residual of one run in units of the noise, without the part that a start's error explains.
 
     Attributes:
         jacobian: Derivatives with respect to k parameters, shape (k, rows).
@@ -82,7 +85,8 @@ class RunLinearization:
     projection: InitialStateProjection | None
 
 
-# Function from a run and its motion at the expansion point (batch of one) to the responses E^T, shape (m, rows).
+# Function from a run and its motion at the expansion point (batch of one) to the responses E^T,
+# shape (m, rows).
 Responses = Callable[[PreparedRecording, Motion], Array]
 
 
@@ -94,11 +98,12 @@ class ResidualModel:
         machine: Machine that supplies everything but the free parameters.
         free: Free parameters.
         data: Runs to predict.
-        bandwidth: Bandwidth of the observer that corrects predictions by measurements, rad/s; 0 for a simulation.
+        bandwidth: Bandwidth of the observer that corrects predictions by measurements, rad/s; 0 for a
+            simulation.
         longest_step: Maximum integration step, s.
         rows_per_block: How many samples are combined into one row (sum / square root of the number).
-        difference_step: Change of theta over which derivatives are computed. Default: 1e-4; 0.01 where parts collide
-            (`has_impacts`); 0.02 for a threshold (`FreeParameter.switch`).
+        difference_step: Change of theta over which derivatives are computed. Default: 1e-4; 0.01 where parts
+            collide (`has_impacts`); 0.02 for a threshold (`FreeParameter.switch`).
     """
 
     machine: Machine
@@ -123,19 +128,19 @@ class ResidualModel:
     def residuals(self, run: PreparedRecording, predicted: Array) -> Array:
         """Compare a batch of predictions of a run with its measurements.
 
-        The residual of a sample is (measured - predicted) / standard deviation of the measurement's noise, after
-        subtraction of the constant error that a wrong zero of the sensor (measurement at position 0) causes. At rest,
-        a quantized sensor repeats one rounding error: N such samples have the weight of one (factor 1 / sqrt(N) each).
-        The residuals of `rows_per_block` successive samples form a block with one value per sensor: their sum /
-        sqrt(rows_per_block).
+        The residual of a sample is (measured - predicted) / standard deviation of the measurement's noise,
+        after subtraction of the constant error that a wrong zero of the sensor (measurement at position 0)
+        causes. At rest, a quantized sensor repeats one rounding error: N such samples have the weight of one
+        (factor 1 / sqrt(N) each). The residuals of `rows_per_block` successive samples form a block with one
+        value per sensor: their sum / sqrt(rows_per_block).
 
         Args:
             run: Measured run of n samples.
             predicted: Predicted measurements of a batch, in the sensors' units, shape (batch, n, sensors).
 
         Returns:
-            Residuals, dimensionless, shape (batch, rows): one row per block and sensor, all sensors of a block before
-            the next block; 0 where not measured.
+            Residuals, dimensionless, shape (batch, rows): one row per block and sensor, all sensors of a
+            block before the next block; 0 where not measured.
         """
         if self.rows_per_block > 1:
             return residuals(run, self.data, predicted, self.rows_per_block)
@@ -170,12 +175,12 @@ class ResidualModel:
 
         Args:
             theta: Dimensionless variables of the k free parameters at the expansion point, shape (k,).
-            responses: Computes the changes of a run's residual by m further perturbations, such as other voltages, from
-                the run and its motion, shape (m, rows). Default: none.
+            responses: Computes the changes of a run's residual by m further perturbations, such as other
+                voltages, from the run and its motion, shape (m, rows). Default: none.
 
         Returns:
-            Normal equations (J^T J, shape (k, k), and J^T r, shape (k,), of Jacobian J and residual r) and the
-            projection that removes an uncertain initial state, of each run.
+            Normal equations (J^T J, shape (k, k), and J^T r, shape (k,), of Jacobian J and residual r) and
+            the projection that removes an uncertain initial state, of each run.
         """
         point = self.at(theta)
 
@@ -222,11 +227,12 @@ class ExpansionPoint:
 
         Args:
             run: Run to predict, one of the data set.
-            responses: Function that returns the residual's changes by m perturbations, shape (m, rows). Default: none.
+            responses: Function that returns the residual's changes by m perturbations, shape (m, rows).
+                Default: none.
 
         Returns:
-            Residual, shape (rows,), its derivatives, shape (k, rows), and the responses, shape (m, rows), all without
-            the part that an error of the initial state can explain.
+            Residual, shape (rows,), its derivatives, shape (k, rows), and the responses, shape (m, rows), all
+            without the part that an error of the initial state can explain.
         """
         steps = self.model.difference_steps
         residual, projection, motion = self.residuals(run, np.diag(steps), states=responses is not None)
@@ -246,8 +252,8 @@ class ExpansionPoint:
             states: Whether the motion has the states as well.
 
         Returns:
-            Residuals, shape (1 + m, rows), and the projection that removed from them what an error of the initial state
-            can explain; the motions that they belong to.
+            Residuals, shape (1 + m, rows), and the projection that removed from them what an error of the
+            initial state can explain; the motions that they belong to.
         """
         model, start = self.model, self.starts[run.name]
         motion = predict_with_displaced_starts(
@@ -271,8 +277,8 @@ class Linearization:
     Attributes:
         point: Values of the free parameters at which it is linearized.
         by_run: Products of each run's linearized residual, in the order of the runs.
-        projections: For each run, by its name, what removes from residuals the part that an error of the initial state
-            explains; None if such an error explains nothing.
+        projections: For each run, by its name, what removes from residuals the part that an error of the
+            initial state explains; None if such an error explains nothing.
     """
 
     point: ExpansionPoint
@@ -281,20 +287,22 @@ class Linearization:
 
     @property
     def normal_equations(self) -> NormalEquations:
-        """Normal equations of all runs together: J^T J, shape (k, k), J^T r, shape (k,), with the Jacobian J."""
+        """Normal equations of all runs: J^T J, shape (k, k), J^T r, shape (k,), with the Jacobian J."""
         return NormalEquations.total(self.by_run)
 
     def costs(self, thetas: Array) -> Array:
         """Compute the costs of trial parameters by new predictions, not from the linearization.
 
-        The initial states, and the projection that removes what their errors explain, are those of the expansion point.
+        The initial states, and the projection that removes what their errors explain, are those of the
+        expansion point.
 
         Args:
-            thetas: Dimensionless variables of the k free parameters for each trial of a batch, shape (batch, k).
+            thetas: Dimensionless variables of the k free parameters for each trial of a batch,
+                shape (batch, k).
 
         Returns:
-            Sums of squared residuals in units of the noise, dimensionless, without the prior, shape (batch,); infinite
-            where a prediction diverges.
+            Sums of squared residuals in units of the noise, dimensionless, without the prior, shape (batch,);
+            infinite where a prediction diverges.
         """
         model, machine = self.point.model, self.point.machine
         parameters = model.parameters(thetas)

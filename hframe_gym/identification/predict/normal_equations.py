@@ -14,11 +14,11 @@ from ...arrays import Array
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """Inner products of r, J and E in the linearized residual r + J dtheta + E a, summed over all rows and runs.
+    """Inner products of r, J and E in the linearized residual r + J dtheta + E a, summed over rows and runs.
 
-    r: residual in units of the noise. J: derivatives of r with respect to k parameters theta. dtheta: change of theta,
-    shape (k,). E: changes of r by a unit amount of each of m perturbations, such as forces of candidate effects. a:
-    amounts of the perturbations, shape (m,). All are dimensionless.
+    r: residual in units of the noise. J: derivatives of r with respect to k parameters theta. dtheta: change
+    of theta, shape (k,). E: changes of r by a unit amount of each of m perturbations, such as forces of
+    candidate effects. a: amounts of the perturbations, shape (m,). All are dimensionless.
 
     Attributes:
         information: J^T J, shape (k, k); Fisher information of the parameters theta for white noise.
@@ -44,18 +44,19 @@ class NormalEquations:
     ) -> NormalEquations:
         """Form the normal equations of one run's linearized residual r + J dtheta + E a.
 
-        dtheta (k,) is a change of the dimensionless parameters theta; a (m,) are the amounts of m perturbations, such
-        as forces of candidate effects, in multiples of a unit amount.
+        dtheta (k,) is a change of the dimensionless parameters theta; a (m,) are the amounts of m
+        perturbations, such as forces of candidate effects, in multiples of a unit amount.
 
         Args:
             jacobian: J transposed: derivatives of r with respect to theta, dimensionless, shape (k, rows).
             residual: Residual r = (measured - predicted) / noise, dimensionless, shape (rows,).
-            responses: E transposed: change of r by a unit amount of each perturbation, dimensionless, shape (m, rows).
-                Default: none; then m = 0 and the products with E are empty.
+            responses: E transposed: change of r by a unit amount of each perturbation, dimensionless,
+                shape (m, rows). Default: none; then m = 0 and the products with E are empty.
             count: Number of independent measured values, dimensionless. Default: the number of rows.
 
         Returns:
-            J^T J, shape (k, k), J^T r (k,), r^T r, J^T E (k, m), E^T E (m, m), E^T r (m,), dimensionless; `count`.
+            J^T J, shape (k, k), J^T r (k,), r^T r, J^T E (k, m), E^T E (m, m), E^T r (m,), dimensionless;
+            `count`.
         """
         parts = [jacobian, residual[None]] if responses is None else [jacobian, responses, residual[None]]
         stacked = np.vstack(parts)
@@ -83,14 +84,15 @@ class NormalEquations:
             pieces: Number of pieces.
 
         Returns:
-            For each piece, J^T J, shape (k, k), J^T r, shape (k,), r^T r and its part of `count`, dimensionless.
+            For each piece, J^T J, shape (k, k), J^T r, shape (k,), r^T r and its part of `count`,
+            dimensionless.
         """
         parts = zip(np.array_split(jacobian, pieces, 1), np.array_split(residual, pieces), strict=True)
         return [cls.from_rows(*part, count=count / pieces) for part in parts]
 
     @classmethod
     def total(cls, parts: Iterable[NormalEquations]) -> NormalEquations:
-        """Add up the normal equations (inner products of Jacobian and residual) of several runs, to fit them together.
+        """Add up the normal equations (products of Jacobian and residual) of runs that are fitted together.
 
         Args:
             parts: Normal equations of at least one run.
@@ -100,12 +102,12 @@ class NormalEquations:
 
     @property
     def chi2(self) -> float:
-        """Chi-squared per sample (mean squared residual / noise variance), 1 if only the sensors' noise remains."""
+        """Chi-squared per sample (mean squared residual / noise variance), 1 if only sensor noise remains."""
         return self.cost / self.count
 
     @property
     def finite(self) -> bool:
-        """Whether cost, J^T r and J^T J are finite; if not, a simulation at or near the expansion point diverges."""
+        """Whether cost, J^T r and J^T J are finite; else a simulation near the expansion point diverges."""
         return bool(
             np.isfinite(self.cost)
             and np.isfinite(self.gradient).all()
@@ -169,8 +171,8 @@ class NormalEquations:
             precision: Inverse covariance of the parameters' prior, dimensionless, shape (k, k).
 
         Returns:
-            Copy with k = 0 and the new `response_information`, shape (m, m), and `response_gradient`, shape (m,). The
-            cost r^T r is unchanged.
+            Copy with k = 0 and the new `response_information`, shape (m, m), and `response_gradient`,
+            shape (m,). The cost r^T r is unchanged.
         """
         hessian = self.information + precision
         right_side = np.column_stack([self.cross_products, self.gradient])

@@ -1,7 +1,8 @@
-"""Predict a run with a machine, for a batch of parameter values at once, and compare it with the measurements.
+"""Predict a run with a machine, for a batch of parameter values at once, and compare it with measurements.
 
-A Luenberger observer feeds the difference of measured and predicted values back into position and velocity at every
-sample, so that the error of a wrong model remains local in time. Its bandwidth is an argument of every prediction:
+A Luenberger observer feeds the difference of measured and predicted values back into position and velocity at
+every sample, so that the error of a wrong model remains local in time. Its bandwidth is an argument of every
+prediction:
 
 - `SEARCH_BANDWIDTH` (60 rad/s), the largest, suits a model that is still wrong (one-step prediction);
 - `SIMULATION` (0) means no feedback: the machine runs from its initial state;
@@ -58,7 +59,8 @@ def map_runs(function: Callable[[PreparedRecording], T], data: Dataset) -> Itera
         Result of the function for each run, in the order of the runs.
     """
     count = threads()
-    # The runs occupy all cores; threads of the linear algebra library beside them would only wait for each other.
+    # The runs occupy all cores; threads of the linear algebra library beside them would only wait for each
+    # other.
     with single_threaded_linear_algebra():
         if min(count, len(data.runs)) == 1 or _of_pool.here:
             yield from map(function, data.runs)
@@ -84,7 +86,7 @@ _of_pool = _OfPool()
 
 @lru_cache(maxsize=4)
 def _pool(process: int, count: int) -> ThreadPoolExecutor:
-    """Return threads that are kept between calls; a forked process does not inherit them and makes new ones."""
+    """Return threads that are kept between calls; a forked process makes new ones instead."""
 
     def mark() -> None:
         _of_pool.here = True
@@ -95,9 +97,10 @@ def _pool(process: int, count: int) -> ThreadPoolExecutor:
 def sensor_bandwidths(machine: Machine, bandwidth: float) -> Array:
     """Return the observer bandwidth of every sensor: how fast its measurements correct a prediction.
 
-    If the machine has encoders, the bandwidth of its lasers is 5/12 of theirs, because lasers are noisier and only need
-    to correct what encoders cannot measure. A sensor of a speed corrects the velocity of a coordinate whose position is
-    not measured. Sensors of other quantities correct nothing, their errors only count: their bandwidth is 0.
+    If the machine has encoders, the bandwidth of its lasers is 5/12 of theirs, because lasers are noisier and
+    only need to correct what encoders cannot measure. A sensor of a speed corrects the velocity of a
+    coordinate whose position is not measured. Sensors of other quantities correct nothing, their errors only
+    count: their bandwidth is 0.
 
     Args:
         bandwidth: Observer bandwidth of the encoders, or of all sensors if there are no encoders, rad/s.
@@ -125,7 +128,8 @@ def innovation_variance(machine: Machine, data: Dataset, bandwidth: float) -> tu
         bandwidth: Bandwidth of the observer, rad/s; 0 for a simulation, whose errors are the noise.
 
     Returns:
-        Means of the ratio (variance / noise variance) and of its logarithm over all measured values, dimensionless.
+        Means of the ratio (variance / noise variance) and of its logarithm over all measured values,
+        dimensionless.
     """
     if data.has_voltage_errors and bandwidth >= NARROWEST_WITH_VOLTAGE_ERRORS:
         return 1.0, _log_variance_with_voltage_errors(data, bandwidth)
@@ -136,7 +140,7 @@ def innovation_variance(machine: Machine, data: Dataset, bandwidth: float) -> tu
 
 
 def sensor_innovation_variance(machine: Machine, period: float, bandwidth: float) -> Array:
-    """Return the variance of the innovations of an exact machine / that of each sensor's noise, shape (sensors,).
+    """Return the innovations' variance of an exact machine / that of each sensor's noise, shape (sensors,).
 
     Args:
         period: Sampling period, s.
@@ -148,7 +152,7 @@ def sensor_innovation_variance(machine: Machine, period: float, bandwidth: float
 
 
 def _observer_rates(machine: Machine, period: float, bandwidth: float) -> Array:
-    """Return the bandwidth of the observer of each sensor times the period, at most as in `LONGEST_OBSERVER_PERIOD`."""
+    """Return the bandwidth of each sensor's observer times the period, up to `LONGEST_OBSERVER_PERIOD`."""
     return sensor_bandwidths(machine, bandwidth) * min(period, LONGEST_OBSERVER_PERIOD)
 
 
@@ -170,7 +174,8 @@ def whitened(residual: Array, run: PreparedRecording, bandwidth: float) -> Array
         bandwidth: Bandwidth of the observer of the predictions, rad/s.
 
     Returns:
-        Residuals of the same shape; the given ones if the voltages are held, or if the observer is too narrow.
+        Residuals of the same shape; the given ones if the voltages are held, or if the observer is too
+        narrow.
     """
     bandwidth = run.bandwidth(bandwidth)
     if run.voltage_errors is None or bandwidth < NARROWEST_WITH_VOLTAGE_ERRORS:
@@ -181,18 +186,20 @@ def whitened(residual: Array, run: PreparedRecording, bandwidth: float) -> Array
 def observer_gains(machine: Machine, period: float, bandwidth: float = SEARCH_BANDWIDTH) -> Array:
     """Return the gains of the Luenberger observer that feeds measurements back into a prediction.
 
-    Each sensor of a position corrects its coordinate by an observer of second order with two equal poles at the
-    bandwidth; one of a speed corrects the velocity, with one pole. What is behind the teeth of a gear moves with it,
-    and coordinates that no sensor corrects follow so that no belt is stretched.
+    Each sensor of a position corrects its coordinate by an observer of second order with two equal poles at
+    the bandwidth; one of a speed corrects the velocity, with one pole. What is behind the teeth of a gear
+    moves with it, and coordinates that no sensor corrects follow so that no belt is stretched.
 
     Args:
         machine: Machine whose sensors are fed back.
         period: Sampling period, s.
-        bandwidth: Observer bandwidth of the encoders, rad/s. Lasers get 5/12 of it; without encoders, they get all.
+        bandwidth: Observer bandwidth of the encoders, rad/s. Lasers get 5/12 of it; without encoders, they
+            get all.
 
     Returns:
-        Corrections at each sample per m or rad of measured minus predicted value: of the positions (first half of the
-        rows), m or rad, and of the velocities (second half), m/s or rad/s, shape (2 * coordinates, sensors).
+        Corrections at each sample per m or rad of measured minus predicted value: of the positions (first
+        half of the rows), m or rad, and of the velocities (second half), m/s or rad/s,
+        shape (2 * coordinates, sensors).
     """
     count = len(machine.coordinates)
     gains = np.zeros((2 * count, len(machine.sensors)))
@@ -202,7 +209,8 @@ def observer_gains(machine: Machine, period: float, bandwidth: float = SEARCH_BA
             continue
         name = sensor.coordinate
         i = machine.coordinate_names.index(name)
-        # Poles (s + bandwidth)^2, discretized; sensor.row: change of the measurement per unit of the coordinate.
+        # Poles (s + bandwidth)^2, discretized; sensor.row: change of the measurement per unit of the
+        # coordinate.
         if sensor.of_position:
             gains[i, j] = 2 * rate / sensor.row[name]
             gains[count + i, j] = rate**2 / period / sensor.row[name]
@@ -215,8 +223,8 @@ def observer_gains(machine: Machine, period: float, bandwidth: float = SEARCH_BA
 def _followed(machine: Machine, gains: list[Array]) -> list[Array]:
     """Return gains with which uncorrected coordinates follow the others along motions that stretch no belt.
 
-    If a motor without encoder stayed where it is, each correction of the carriage would stretch the belt. The forces
-    would push the carriage back, and a fit would find a soft belt.
+    If a motor without encoder stayed where it is, each correction of the carriage would stretch the belt. The
+    forces would push the carriage back, and a fit would find a soft belt.
     """
     still = ~np.any([half.any(axis=1) for half in gains], axis=0)  # (coordinates,)
     if still.all() or not still.any() or not machine.belts:
@@ -244,33 +252,35 @@ def predict(
     longest_step: float = SEARCH_STEP,
     states: bool = False,
 ) -> Motion:
-    """Predict the measurements of a run, for several sets of parameters, perturbations or initial states at once.
+    """Predict a run's measurements, for several sets of parameters, perturbations or initial states at once.
 
-    Voltages are held from row to row, or interpolated if the run has more than one update a row. Of those that change
-    inside an integration step, the mean acts.
+    Voltages are held from row to row, or interpolated if the run has more than one update a row. Of those
+    that change inside an integration step, the mean acts.
 
     Args:
         machine: Machine that predicts; its effects also determine the initial state.
         run: Run to predict, n samples.
-        bandwidth: Bandwidth of the observer that corrects the prediction by the measurements, rad/s; 0 for none. A run
-            may have another one (`PreparedRecording.observer_bandwidth`).
+        bandwidth: Bandwidth of the observer that corrects the prediction by the measurements, rad/s; 0 for
+            none. A run may have another one (`PreparedRecording.observer_bandwidth`).
         period: Sampling period, s.
-        parameters: All parameters, SI, as in `Machine.parameters`, shape (batch, parameters). Default: the machine's.
+        parameters: All parameters, SI, as in `Machine.parameters`, shape (batch, parameters). Default: the
+            machine's.
         inputs: Voltages, V, shape (batch, n, drives). Default: those of the run.
-        extra_force: Additional force on every coordinate, N or Nm, constant from each sample to the next, shape
-            (batch, n, coordinates). Default: none.
-        extra_measurement: Value added to the sensors' output, in the sensors' units, shape (batch, n, sensors), or
-            (batch, sensors) for a constant. Default: none.
-        initial_state: Positions (m, rad), velocities (m/s, rad/s), effect states (SI; may be left out: zero), shape
-            (2 * coordinates + effect states,) or with a leading batch axis. Default: `run.initial_state(machine)`. The
-            observer shifts the measurements of encoders so that they agree with the first of these states.
+        extra_force: Additional force on every coordinate, N or Nm, constant from each sample to the next,
+            shape (batch, n, coordinates). Default: none.
+        extra_measurement: Value added to the sensors' output, in the sensors' units,
+            shape (batch, n, sensors), or (batch, sensors) for a constant. Default: none.
+        initial_state: Positions (m, rad), velocities (m/s, rad/s), effect states (SI; may be left out: zero),
+            shape (2 * coordinates + effect states,) or with a leading batch axis. Default:
+            `run.initial_state(machine)`. The observer shifts the measurements of encoders so that they agree
+            with the first of these states.
         longest_step: Maximum integration step, s; stiff belts may need shorter ones (`resolved_step`).
         states: Whether to return positions and velocities too.
 
     Returns:
-        `readings`: predicted measurements, in the sensors' units, shape (batch, n, sensors), not finite if the
-        prediction diverges. With `states` also `positions`, m or rad, and `velocities`, m/s or rad/s, shape
-        (batch, n, coordinates) each.
+        `readings`: predicted measurements, in the sensors' units, shape (batch, n, sensors), not finite if
+        the prediction diverges. With `states` also `positions`, m or rad, and `velocities`, m/s or rad/s,
+        shape (batch, n, coordinates) each.
     """
     starts = np.atleast_2d(run.initial_state(machine) if initial_state is None else initial_state)
     constant = extra_measurement is not None and extra_measurement.ndim == 2
@@ -304,8 +314,8 @@ def predict(
 def measurements_from(start: Array, machine: Machine, run: PreparedRecording) -> Array:
     """Return the measurements of a run for an initial state other than the measured one.
 
-    Encoders count from the initial position. If effects change what sensors measure, the position at the start differs
-    from the measured one, and the encoders measure that much more or less in all rows.
+    Encoders count from the initial position. If effects change what sensors measure, the position at the
+    start differs from the measured one, and the encoders measure that much more or less in all rows.
 
     Args:
         start: Initial state: positions, m or rad, first, shape (coordinates or more,).
@@ -322,10 +332,10 @@ def measurements_from(start: Array, machine: Machine, run: PreparedRecording) ->
 
 
 def mechanical_rows_per_block(data: Dataset) -> int:
-    """Return how many rows of a residual may be combined into one, which saves time in the search for effects.
+    """Return how many rows of a residual may be combined into one, to save time in the search.
 
-    Mechanical effects hardly change the residual within 4 ms. Combined rows are summed and divided by the root of
-    their number.
+    Mechanical effects hardly change the residual within 4 ms. Combined rows are summed and divided by the
+    root of their number.
 
     Args:
         data: Data set, for its sampling period.
@@ -354,9 +364,9 @@ def block_size(seconds: float, machine: Machine, data: Dataset) -> int:
 def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array) -> Array:
     """Return measured minus predicted values, without the constant error that uncertain sensor zeros cause.
 
-    A zero is the measurement at position 0. For encoders behind belts, the constant error is the mean error over the
-    complete run. For all other sensors, it is the mean error over the rows at rest, changed by at most half a
-    quantization step towards the mean over the complete run.
+    A zero is the measurement at position 0. For encoders behind belts, the constant error is the mean error
+    over the complete run. For all other sensors, it is the mean error over the rows at rest, changed by at
+    most half a quantization step towards the mean over the complete run.
 
     Args:
         run: Measured run, n samples.
@@ -394,21 +404,24 @@ def residuals(
 ) -> Array:
     """Return measured minus predicted values, divided by the standard deviations of the measurements' noise.
 
-    The constant error that uncertain sensor zeros (measurements at position 0) cause is estimated and subtracted first.
+    The constant error that uncertain sensor zeros (measurements at position 0) cause is estimated and
+    subtracted first.
 
     Args:
         run: Measured run, n samples, with the standard deviation of each value's noise.
         data: Data set of the run, for the sensors' quantization steps.
         measurements: Predicted measurements of a batch of predictions, in the sensors' units, shape
             (batch, n, sensors).
-        rows_per_block: Number of consecutive rows that are combined into one: their sum divided by the root of this
-            number. White noise keeps its standard deviation, slow residuals keep their sum of squares.
-        fitted: True for the residual of a fit: measurements with the same rounding error count as one, and the zeros
-            of sensors that measured at rest without quantization are corrected without limit. False: evaluation.
+        rows_per_block: Number of consecutive rows that are combined into one: their sum divided by the root
+            of this number. White noise keeps its standard deviation, slow residuals keep their sum of
+            squares.
+        fitted: True for the residual of a fit: measurements with the same rounding error count as one, and
+            the zeros of sensors that measured at rest without quantization are corrected without limit.
+            False: evaluation.
 
     Returns:
-        Residuals, dimensionless, shape (batch, n // rows_per_block * sensors), all sensors of one row before the next;
-        zero where a value was not measured.
+        Residuals, dimensionless, shape (batch, n // rows_per_block * sensors), all sensors of one row before
+        the next; zero where a value was not measured.
     """
     scales = run.fit_scales if fitted else (run.weights > 0.0) / run.noise
     # Parameters that make a machine diverge cost infinitely much.

@@ -1,9 +1,10 @@
 """The uncertain start of a run: what may be wrong with it, and how residuals are freed from its influence.
 
-Static friction holds an unknown stretch of the belts when a run begins: encoders behind belts do not resolve it, and an
-encoder that was switched on anew does not measure it at all. Where no laser measures at rest, the position is uncertain
-as well. A bristle or a cable with hysteresis remembers motion that was not recorded. A fit removes the response to all
-of these from its residual (variable projection); `start_estimation` estimates them.
+Static friction holds an unknown stretch of the belts when a run begins: encoders behind belts do not resolve
+it, and an encoder that was switched on anew does not measure it at all. Where no laser measures at rest, the
+position is uncertain as well. A bristle or a cable with hysteresis remembers motion that was not recorded. A
+fit removes the response to all of these from its residual (variable projection); `start_estimation` estimates
+them.
 """
 
 from __future__ import annotations
@@ -25,10 +26,10 @@ from ...preparation.initial_state import model_initial_states
 from ...preparation.rest_measurement import InitialState
 from .prediction import SEARCH_STEP, predict, residuals, whitened
 
-# Fraction of a standard deviation over which the influence of an effect's state is computed. The friction of a contact
-# that rested for an unknown time is known to five e-folds only. Over all of them, its influence is far from linear: a
-# fit that took it as linear walked along a valley to twenty times the right force; with fractions of 0.01 to 0.3, it
-# ends at the right one.
+# Fraction of a standard deviation over which the influence of an effect's state is computed. The friction of
+# a contact that rested for an unknown time is known to five e-folds only. Over all of them, its influence is
+# far from linear: a fit that took it as linear walked along a valley to twenty times the right force; with
+# fractions of 0.01 to 0.3, it ends at the right one.
 _STATE_DIFFERENCE = 0.1
 _UNMEASURED_POSITION = 2e-4  # m; standard deviation of a start that is estimated from later measurements
 
@@ -37,10 +38,12 @@ class UncertainStart(NamedTuple):
     """State from which a run is predicted, and by how much it may be wrong.
 
     Attributes:
-        state: Positions (m, rad), velocities (m/s, rad/s), effect states (SI), shape (2 * coordinates + states,).
-        displacements: Independent displacements of this state, one per row, each of the size of one standard deviation,
-            shape (displacements, 2 * coordinates + states); no rows if nothing is uncertain.
-        differences: Fraction of each displacement over which its influence is computed, shape (displacements,).
+        state: Positions (m, rad), velocities (m/s, rad/s), effect states (SI),
+            shape (2 * coordinates + states,).
+        displacements: Independent displacements of this state, one per row, each of the size of one standard
+            deviation, shape (displacements, 2 * coordinates + states); no rows if nothing is uncertain.
+        differences: Fraction of each displacement over which its influence is computed,
+            shape (displacements,).
     """
 
     state: Array
@@ -49,7 +52,7 @@ class UncertainStart(NamedTuple):
 
     @property
     def displaced_states(self) -> Array:
-        """The state with each of these fractions of a displacement added in turn, SI, shape (displacements, state)."""
+        """The state plus each of these fractions of a displacement, SI, shape (displacements, state)."""
         return self.state + self.differences[:, None] * self.displacements
 
 
@@ -61,7 +64,8 @@ def uncertain_starts(machine: Machine, runs: Sequence[PreparedRecording]) -> dic
         runs: Runs to predict. What depends on the machine alone is computed once for all of them.
 
     Returns:
-        State, shape (2 * coordinates + effect states,), and displacements (`start_displacements`), by name of the run.
+        State, shape (2 * coordinates + effect states,), and displacements (`start_displacements`), by name of
+        the run.
     """
     states = model_initial_states(machine, [run.initial for run in runs])
     displacements = start_displacements(machine, [run.initial for run in runs])
@@ -74,25 +78,27 @@ def uncertain_starts(machine: Machine, runs: Sequence[PreparedRecording]) -> dic
 
 
 def start_displacements(machine: Machine, initial: Sequence[InitialState]) -> list[Array]:
-    """Return the independent displacements by which the states at the start of runs may differ from the measured ones.
+    """Return the independent displacements by which states at the start may differ from the measured ones.
 
     They have four causes:
 
     - Static friction holds an unknown stretch of the belts: one displacement per pulley with an encoder.
-    - In a machine with belts, lasers (sensors with a fixed zero) do not measure the complete position before the motion
-      begins: one displacement per motion that stretches no belt and that no laser measures at rest.
-    - The run begins in motion, and its first measurements show the velocity inaccurately: one per motion that stretches
-      no belt, and one per pulley with an encoder, because the belts vibrate.
-    - An effect such as hysteresis remembers motion before the recording: one per state of an effect that defines an
-      `initial_spread`, and two per coordinate that such an effect adds, because it may swing.
+    - In a machine with belts, lasers (sensors with a fixed zero) do not measure the complete position before
+      the motion begins: one displacement per motion that stretches no belt and that no laser measures at
+      rest.
+    - The run begins in motion, and its first measurements show the velocity inaccurately: one per motion that
+      stretches no belt, and one per pulley with an encoder, because the belts vibrate.
+    - An effect such as hysteresis remembers motion before the recording: one per state of an effect that
+      defines an `initial_spread`, and two per coordinate that such an effect adds, because it may swing.
 
     Args:
         machine: Machine whose simulation starts from these states.
         initial: Measured initial state of each run.
 
     Returns:
-        For each run its displacements, one per row, each of the size of one standard deviation: positions (m, rad),
-        velocities (m/s, rad/s), states of the effects (SI), shape (displacements, 2 * coordinates + effect states).
+        For each run its displacements, one per row, each of the size of one standard deviation: positions (m,
+        rad), velocities (m/s, rad/s), states of the effects (SI), shape (displacements, 2 * coordinates +
+        effect states).
     """
     count, spreads = len(machine.coordinates), effect_state_spreads(machine)
     of_effects, swinging = np.diag(spreads)[spreads > 0.0], _added_displacements(machine)
@@ -119,7 +125,8 @@ def start_displacements(machine: Machine, initial: Sequence[InitialState]) -> li
 def _position_displacements(machine: Machine, initial: InitialState, held_angles: dict[str, float]) -> Array:
     """Return the uncertain positions of a run, each of the size of its error, shape (k, coordinates).
 
-    Zeros that scatter from run to run show the stretch that friction holds on this rig; a zero is then uncertain, too.
+    Zeros that scatter from run to run show the stretch that friction holds on this rig; a zero is then
+    uncertain, too.
     """
     spreads = {
         sensor.coordinate: spread / abs(sensor.row[sensor.coordinate])
@@ -136,7 +143,7 @@ def _position_displacements(machine: Machine, initial: InitialState, held_angles
 
 
 def _velocity_displacements(machine: Machine, initial: InitialState) -> Array:
-    """Return the uncertain velocities of a run that begins in motion, each of the size of its error (k, coordinates).
+    """Return uncertain velocities of a run that begins in motion, as large as their error (k, coordinates).
 
     Beside the motions that stretch no belt, every pulley vibrates against the belts.
     """
@@ -151,7 +158,7 @@ def _velocity_displacements(machine: Machine, initial: InitialState) -> Array:
 
 
 def _added_displacements(machine: Machine) -> Array:
-    """Return the uncertain positions and speeds of coordinates that effects add, each of the size of its error.
+    """Return uncertain positions and speeds of coordinates that effects add, each of the size of its error.
 
     The shape is (k, 2 * coordinates). Effects without `initial_spread` add coordinates that rest at zero.
     """
@@ -172,8 +179,8 @@ def effect_state_spreads(machine: Machine) -> Array:
     """Return the standard deviation of the state that each effect has at the start of a run.
 
     Returns:
-        Standard deviations, SI, in the order of the effects' states, shape (effect states,); 0 for a state that is zero
-        at rest, such as the current of a motor.
+        Standard deviations, SI, in the order of the effects' states, shape (effect states,); 0 for a state
+        that is zero at rest, such as the current of a motor.
     """
     equations = Equations(machine)
     spreads = []
@@ -190,7 +197,7 @@ def effect_state_spreads(machine: Machine) -> Array:
 
 
 def _rigid_displacements(machine: Machine, initial: InitialState, held_angles: dict[str, float]) -> Array:
-    """Return the rigid motions that no laser measured at rest, of the size of their uncertainty, (k, coordinates)."""
+    """Return the rigid motions that no laser measured at rest, as large as uncertain, (k, coordinates)."""
     travel = [angle * machine.coordinate(name).travel_per_unit for name, angle in held_angles.items()]
     size = max(travel) if initial.position_measured else _UNMEASURED_POSITION
     rigid = rigid_basis(machine)
@@ -201,11 +208,11 @@ def _rigid_displacements(machine: Machine, initial: InitialState, held_angles: d
 
 @dataclass(frozen=True)
 class InitialStateProjection:
-    """Projection that removes from residuals what an uncertain initial state, such as a belt stretch, explains.
+    """Projection to remove from residuals what an uncertain initial state, such as a belt stretch, explains.
 
-    The squared norm of a projected residual r is the minimum over w of |r - C w|^2 + |w|^2, where the columns of C are
-    the changes of r by displacements of the initial state, each of the size of one standard deviation (variable
-    projection). A fit therefore need not estimate the displacements w.
+    The squared norm of a projected residual r is the minimum over w of |r - C w|^2 + |w|^2, where the columns
+    of C are the changes of r by displacements of the initial state, each of the size of one standard
+    deviation (variable projection). A fit therefore need not estimate the displacements w.
 
     Attributes:
         directions: Orthonormal basis of the s columns of C, shape (rows, s).
@@ -226,12 +233,15 @@ class InitialStateProjection:
         """Build the projection from the residuals of predictions that start from displaced states.
 
         Args:
-            residual: Residual of the prediction from the state as it is, in units of the noise, shape (rows,).
-            displaced: Residuals of predictions from `UncertainStart.displaced_states`, shape (displacements, rows).
+            residual: Residual of the prediction from the state as it is, in units of the noise,
+                shape (rows,).
+            displaced: Residuals of predictions from `UncertainStart.displaced_states`,
+                shape (displacements, rows).
             differences: The fractions of the displacements that these states have, shape (displacements,).
 
         Returns:
-            Projection for residuals of shape (batch, rows); None without displacements, or if a prediction diverges.
+            Projection for residuals of shape (batch, rows); None without displacements, or if a prediction
+            diverges.
         """
         columns = (displaced - residual).T / differences
         if not columns.shape[1] or not np.all(np.isfinite(columns)):
@@ -240,7 +250,7 @@ class InitialStateProjection:
         return cls(directions, 1.0 - 1.0 / np.hypot(1.0, sizes))  # no overflow close to divergence
 
     def __call__(self, residual: Array) -> Array:
-        """Remove the part of residuals that the optimal displacement of the initial state explains, given its prior.
+        """Remove what the optimal displacement of the initial state explains of residuals, given its prior.
 
         Args:
             residual: Residuals of a batch of predictions, in units of the noise, shape (batch, rows).
@@ -253,7 +263,7 @@ class InitialStateProjection:
         return np.subtract(residual, projected_rows, out=projected_rows)
 
     def costs(self, residual: Array) -> Array:
-        """Return the sum of squares of each projected residual, shape (batch,), without the projected residuals.
+        """Return the sum of squares of each projected residual, shape (batch,), and not these themselves.
 
         Args:
             residual: Residuals of a batch of predictions, in units of the noise, shape (batch, rows).
@@ -268,7 +278,8 @@ def probable_amounts(residual: Array, displaced: Array, differences: Array) -> A
 
     Args:
         residual: Residual of the prediction from the state as it is, in units of the noise, shape (rows,).
-        displaced: Residuals of predictions from `UncertainStart.displaced_states`, shape (displacements, rows).
+        displaced: Residuals of predictions from `UncertainStart.displaced_states`,
+            shape (displacements, rows).
         differences: The fractions of the displacements that these states have, shape (displacements,).
 
     Returns:
@@ -289,14 +300,16 @@ def projected(
     """Remove from residuals what an uncertain initial state explains.
 
     Args:
-        residuals_of_predictions: Residuals in units of the noise, shape (batch + displacements, rows). The first one is
-            that of the prediction around which the initial state is displaced; the last ones are those of the displaced
-            states, from `predict_with_displaced_starts`.
-        differences: The fractions of the displacements that the displaced states have, shape (displacements,).
+        residuals_of_predictions: Residuals in units of the noise, shape (batch + displacements, rows). The
+            first one is that of the prediction around which the initial state is displaced; the last ones are
+            those of the displaced states, from `predict_with_displaced_starts`.
+        differences: The fractions of the displacements that the displaced states have,
+            shape (displacements,).
 
     Returns:
         residuals: Projected residuals, without those of the displaced states, shape (batch, rows).
-        projection: Projection for further residuals, shape (batch, rows). None if nothing is uncertain or a prediction
+        projection: Projection for further residuals, shape (batch, rows). None if nothing is uncertain or a
+        prediction
             diverges.
     """
     batch, displaced = np.split(residuals_of_predictions, [len(residuals_of_predictions) - len(differences)])
@@ -319,16 +332,18 @@ def predict_with_displaced_starts(
 
     Args:
         run: Run to predict, n samples.
-        bandwidth: Bandwidth of the observer that corrects the prediction by the measurements, rad/s; 0 for none.
+        bandwidth: Bandwidth of the observer that corrects the prediction by the measurements, rad/s; 0 for
+            none.
         start: State from which the run is predicted, with s displacements.
         period: Sampling period, s.
-        parameters: Parameters, SI, as in `Machine.parameters`, shape (batch, parameters); the first set is also that
-            for the displaced states. Default: those of the machine, a batch of one.
+        parameters: Parameters, SI, as in `Machine.parameters`, shape (batch, parameters); the first set is
+            also that for the displaced states. Default: those of the machine, a batch of one.
         longest_step: Maximum integration step, s.
         states: Whether to return positions and velocities too.
 
     Returns:
-        Motion as from `predict`, shape (batch + s, n, ...): first the sets of parameters, then the displaced states.
+        Motion as from `predict`, shape (batch + s, n, ...): first the sets of parameters, then the displaced
+        states.
     """
     table = parameter_batch(machine) if parameters is None else parameters
     displaced = start.displaced_states
@@ -352,8 +367,9 @@ def predict_with_displaced_starts(
 def _displaced_zeros(machine: Machine, run: PreparedRecording, initial_states: Array) -> Array | None:
     """Return the changes of the encoders' zeros that displaced initial states imply, shape (batch, sensors).
 
-    An encoder without a known zero counts from the state at the start. If that state is displaced, all measurements of
-    the encoder are shifted as well, and an observer must know it. None if there is no such encoder.
+    An encoder without a known zero counts from the state at the start. If that state is displaced, all
+    measurements of the encoder are shifted as well, and an observer must know it. None if there is no such
+    encoder.
     """
     unknown = np.array([sensor.incremental for sensor in machine.sensors]) & ~run.initial.resolves_stretch
     positions = initial_states[:, : len(machine.coordinates)]
@@ -370,19 +386,21 @@ def prediction_residuals(
     start: UncertainStart | None = None,
     longest_step: float = SEARCH_STEP,
 ) -> Array:
-    """Return a machine's prediction errors over a run, each divided by the standard deviation of the sensor's noise.
+    """Return a machine's prediction errors, divided by the standard deviation of the sensor's noise.
 
-    The part of the errors that an unknown initial stretch of the belts (or another unknown part of the initial state)
-    can explain is removed, as in a fit.
+    The part of the errors that an unknown initial stretch of the belts (or another unknown part of the
+    initial state) can explain is removed, as in a fit.
 
     Args:
         run: Run to predict, n samples.
-        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
+        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a
+            simulation.
         start: State from which the run is predicted. Default: that of `uncertain_starts`.
         longest_step: Maximum integration step, s.
 
     Returns:
-        Residuals, dimensionless, shape (n * sensors,), 0 where not measured; not finite if the prediction diverges.
+        Residuals, dimensionless, shape (n * sensors,), 0 where not measured; not finite if the prediction
+        diverges.
     """
     start = start or uncertain_starts(machine, [run])[run.name]
     motion = predict_with_displaced_starts(

@@ -1,21 +1,22 @@
 """Errors of the voltages that are interpolated between the rows of a log that is slower than its controller.
 
-Between two rows, a controller answers rounding errors of its sensors that the log does not contain. The mean voltage
-from one row to the next therefore differs from the interpolated one, by an error that is independent of those before
-and after it. Each error pushes the machine, and changes the residual until the observer has corrected it: the residual
-of an exact machine is correlated in time and between the sensors, and larger than noise where the voltages jump.
+Between two rows, a controller answers rounding errors of its sensors that the log does not contain. The mean
+voltage from one row to the next therefore differs from the interpolated one, by an error that is independent
+of those before and after it. Each error pushes the machine, and changes the residual until the observer has
+corrected it: the residual of an exact machine is correlated in time and between the sensors, and larger than
+noise where the voltages jump.
 
-To first order, the residual is r = n + G w, with innovations n of the observer, the errors w of the voltages, and the
-response G of the predictions to them. Its covariance is S = D + G Q G', with the variances D of the innovations and Q
-of the errors. Each block of rows, given the rows shortly before it, is made white with unit variance by the inverse of
-a Cholesky factor of its covariance: chi-squared of an exact machine is 1, and rows that a jump affects count as little
-as they say. A Kalman filter does the same for a linear machine; these responses are also those of a machine that
-friction holds, where voltages change nothing.
+To first order, the residual is r = n + G w, with innovations n of the observer, the errors w of the voltages,
+and the response G of the predictions to them. Its covariance is S = D + G Q G', with the variances D of the
+innovations and Q of the errors. Each block of rows, given the rows shortly before it, is made white with unit
+variance by the inverse of a Cholesky factor of its covariance: chi-squared of an exact machine is 1, and rows
+that a jump affects count as little as they say. A Kalman filter does the same for a linear machine; these
+responses are also those of a machine that friction holds, where voltages change nothing.
 
 References:
     Gelb (1974), "Applied Optimal Estimation".
-    Vecchia (1988), "Estimation and model identification for continuous spatial processes", on the likelihood of values
-    given those shortly before them.
+    Vecchia (1988), "Estimation and model identification for continuous spatial processes", on the likelihood
+    of values given those shortly before them.
 """
 
 from __future__ import annotations
@@ -44,26 +45,28 @@ from .prediction import (
 )
 from .voltage_responses import voltage_responses
 
-# If the part of a voltage that interpolation misses is independent from one change to the next, with the variance s^2,
-# third differences of the rows have the variance 20 s^2 (1 + 9 + 9 + 1), and the mean voltage from one row to the next
-# errs by 0.41 s^2 (two changes a row) to 0.43 s^2 (five and more): half of it is what the log lacks, the other half
-# what the interpolation takes from the rows beside.
+# If the part of a voltage that interpolation misses is independent from one change to the next, with the
+# variance s^2, third differences of the rows have the variance 20 s^2 (1 + 9 + 9 + 1), and the mean voltage
+# from one row to the next errs by 0.41 s^2 (two changes a row) to 0.43 s^2 (five and more): half of it is
+# what the log lacks, the other half what the interpolation takes from the rows beside.
 _SHARE = 0.42 / 20.0
 _ROWS = 9  # over which the squares of third differences are averaged; the motion changes more slowly
-# Product of the observer's bandwidth and the time after which a response is negligible; twice as long changes nothing.
+# Product of the observer's bandwidth and the time after which a response is negligible; twice as long changes
+# nothing.
 _SETTLED = 9.0
 _LARGEST_RESPONSE = 1e9  # noise per volt
-# Rows of a residual that are made white together, and rows before them that are taken as known. Values that are farther
-# apart remain slightly correlated, which costs 0.001 of the logarithm of the likelihood per value at 250 Hz (0.02 where
-# friction holds the machine); a factor of the whole covariance has 29 MB per 1500 rows at 15 rad/s. The memory for each
-# observer, 4 bytes * (8 + 16) * sensors^2 a row, permits long sessions: 0.5 GB for 300,000 rows of four sensors.
+# Rows of a residual that are made white together, and rows before them that are taken as known. Values that
+# are farther apart remain slightly correlated, which costs 0.001 of the logarithm of the likelihood per value
+# at 250 Hz (0.02 where friction holds the machine); a factor of the whole covariance has 29 MB per 1500 rows
+# at 15 rad/s. The memory for each observer, 4 bytes * (8 + 16) * sensors^2 a row, permits long sessions: 0.5
+# GB for 300,000 rows of four sensors.
 _BLOCK, _BEFORE = 8, 16  # two blocks
 _BLOCKS_TOGETHER = 128  # blocks that are factorized, or whitened in one product; limits the memory
 _DRAWS = 8  # of voltage errors, for their effect on simulations: their rms is 15 % accurate in a run
 
 
 def interpolation_variance(inputs: Array) -> Array:
-    """Return the variance of the error of the mean voltage from each row to the next, if voltages are interpolated.
+    """Return the variance of the error of the mean voltage between rows, if voltages are interpolated.
 
     Args:
         inputs: Voltages in the rows, V, shape (n, drives).
@@ -80,9 +83,9 @@ def interpolation_variance(inputs: Array) -> Array:
 def mean_voltage_variance(run: PreparedRecording) -> Array:
     """Return the variance of the error of the mean voltage from each row of a run to the next.
 
-    A controller whose clock jitters also answers the jitter of the steps between the rows, as it does that of the rows.
-    Of n changes a row, n - 1 have such an answer, each for an n-th of the row; no row shows it, and the third
-    differences of voltages without the answers of the rows do not either.
+    A controller whose clock jitters also answers the jitter of the steps between the rows, as it does that of
+    the rows. Of n changes a row, n - 1 have such an answer, each for an n-th of the row; no row shows it, and
+    the third differences of voltages without the answers of the rows do not either.
 
     Args:
         run: Run whose voltages change between the rows.
@@ -115,7 +118,7 @@ def with_voltage_errors(machine: Machine, data: Dataset) -> Dataset:
 
 
 def expected_excess(machine: Machine, data: Dataset, bandwidth: float) -> float:
-    """Return what errors of interpolated voltages add to chi-squared per sample of an exact machine, dimensionless.
+    """Return what errors of interpolated voltages add to an exact machine's chi-squared, dimensionless.
 
     Args:
         machine: Machine, refitted to these runs.
@@ -130,7 +133,7 @@ def expected_excess(machine: Machine, data: Dataset, bandwidth: float) -> float:
 
 
 def simulation_error(machine: Machine, data: Dataset) -> Array:
-    """Return the error that errors of interpolated voltages cause in simulations, root mean square over the runs.
+    """Return the error that interpolated voltages cause in simulations, root mean square over the runs.
 
     Args:
         machine: Machine that is simulated.
@@ -144,7 +147,8 @@ def simulation_error(machine: Machine, data: Dataset) -> Array:
     rng = np.random.default_rng(0)
 
     def draws(run: PreparedRecording) -> Array:
-        # Interpolated between the rows, independent errors of the rows add up like those of the mean voltages.
+        # Interpolated between the rows, independent errors of the rows add up like those of the mean
+        # voltages.
         deviations = np.sqrt(np.vstack([mean_voltage_variance(run), np.zeros(len(machine.drives))]))
         return (
             np.concatenate([np.zeros((1, *deviations.shape)), rng.normal(size=(_DRAWS, *deviations.shape))])
@@ -174,8 +178,8 @@ class Whitening(NamedTuple):
     """What makes the residual of a run white: its blocks of rows, given the rows before them.
 
     Attributes:
-        factors: Inverse Cholesky factor of each block, in single precision to save memory, dimensionless, shape
-            (blocks, _BLOCK * sensors, (_BEFORE + _BLOCK) * sensors); 0 for rows outside the run.
+        factors: Inverse Cholesky factor of each block, in single precision to save memory, dimensionless,
+            shape (blocks, _BLOCK * sensors, (_BEFORE + _BLOCK) * sensors); 0 for rows outside the run.
         log_variance: Logarithm of the variance of each value, given those before it, shape (n, sensors).
     """
 
@@ -187,7 +191,8 @@ class Whitening(NamedTuple):
         """Return the whitening of a residual of n rows, shape (n * sensors,).
 
         Args:
-            responses: Change of the residual by errors of one standard deviation, shape (n * sensors, errors).
+            responses: Change of the residual by errors of one standard deviation,
+                shape (n * sensors, errors).
             variance: Variance of the innovations of each sensor, dimensionless, shape (sensors,).
         """
         sensors = len(variance)
@@ -207,7 +212,7 @@ class Whitening(NamedTuple):
         return cls(factors, log_variance.reshape(-1, sensors)[: values // sensors])
 
     def __call__(self, residual: Array) -> Array:
-        """Return white residuals of a batch of predictions, shape (batch, n * sensors), like the given ones."""
+        """Return white residuals of predictions, shape (batch, n * sensors), like the given ones."""
         blocks, of_block, window = self.factors.shape
         before = window - of_block
         padded = np.zeros((blocks * of_block + before, len(residual)))
@@ -291,7 +296,7 @@ class InterpolationErrors(VoltageErrors):
         return self._prepared(bandwidth)[0]
 
     def _prepared(self, bandwidth: float) -> tuple[Whitening, Array]:
-        """Return the whitening, and an orthonormal basis of the white responses to zeros, (zeros, n * sensors)."""
+        """Return whitening and an orthonormal basis of the white responses to zeros, (zeros, n * sensors)."""
         if bandwidth not in self._by_bandwidth:
             variance = sensor_innovation_variance(self._machine, self._data.period, bandwidth)
             whitening = Whitening.of(self.responses(bandwidth), variance)
@@ -300,10 +305,11 @@ class InterpolationErrors(VoltageErrors):
         return self._by_bandwidth[bandwidth]
 
     def _zero_responses(self) -> Array:
-        """Return the change of the residual by an error of each zero that is not known, shape (zeros, n * sensors).
+        """Return the residual's change by an error of each unknown zero, shape (zeros, n * sensors).
 
-        The mean error, which a fit removes otherwise, is mostly that of the voltages. With an observer, constant errors
-        of the zeros have constant innovations, of all sensors; those that were not measured are 0.
+        The mean error, which a fit removes otherwise, is mostly that of the voltages. With an observer,
+        constant errors of the zeros have constant innovations, of all sensors; those that were not measured
+        are 0.
         """
         run, data = self._run, self._data
         scales = np.sqrt(run.weights) / run.noise
@@ -329,7 +335,8 @@ class InterpolationErrors(VoltageErrors):
             settled=_SETTLED,
             longest_step=SEARCH_STEP,  # errors of voltages are known within a factor of four
         )
-        # Where the machine diverges, its residual is infinite anyway; responses must not make the covariance so.
+        # Where the machine diverges, its residual is infinite anyway; responses must not make the covariance
+        # so.
         per_volt.data[~(np.abs(per_volt.data) < _LARGEST_RESPONSE)] = 0.0
         deviations = np.sqrt(self._variance).ravel()
         per_volt.data *= deviations[per_volt.indices]

@@ -1,4 +1,4 @@
-"""How predictions respond to the voltages of single rows, which a log does not contain or contains with an error."""
+"""How predictions respond to the voltages of single rows, which a log lacks or has with an error."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from .prediction import (
 )
 
 Rows = NDArray[np.intp]
-# Product of the observer's bandwidth and the time after which it has corrected the response to a row; the bandwidth of
-# lasers beside encoders is 5/12 of it.
+# Product of the observer's bandwidth and the time after which it has corrected the response to a row; the
+# bandwidth of lasers beside encoders is 5/12 of it.
 SETTLED = 18.0
 _VALUES = 4_000_000  # measurements that are predicted together; limits the memory to some hundred megabytes
 _PULSE = 0.1  # V, for the linearization
@@ -42,8 +42,8 @@ def voltage_responses(
 ) -> tuple[sparse.csr_array, Array]:
     """Return the derivative of the residual with respect to the voltages in some rows, and the residual.
 
-    Rows whose responses do not overlap are perturbed in the same prediction. Every residual lacks its mean, the error
-    of the sensor's zero, which depends on all of these rows; alternating directions keep it small.
+    Rows whose responses do not overlap are perturbed in the same prediction. Every residual lacks its mean,
+    the error of the sensor's zero, which depends on all of these rows; alternating directions keep it small.
 
     Args:
         machine: Machine that predicts.
@@ -57,7 +57,8 @@ def voltage_responses(
         most_values: Measurements that are predicted together, at most, unless one perturbation has more.
 
     Returns:
-        Jacobian, 1/V, shape (m, r * drives), and residual, dimensionless, shape (m,), with m values in n rows.
+        Jacobian, 1/V, shape (m, r * drives), and residual, dimensionless, shape (m,), with m values in n
+        rows.
 
     References:
         Curtis, Powell and Reid (1974), on the estimation of sparse Jacobian matrices.
@@ -110,8 +111,8 @@ def _response_length(
 ) -> int:
     """Return after how many rows the observer has corrected the response to the voltage of a row.
 
-    It corrects in measured rows only. The sensors that measure most often and together see every motion of the machine
-    that stretches no belt count.
+    It corrects in measured rows only. The sensors that measure most often and together see every motion of
+    the machine that stretches no belt count.
     """
     seen = machine.sensor_matrix @ rigid_basis(machine)  # (sensors, motions)
     measured = np.isfinite(run.outputs).mean(axis=0)  # fraction of the rows, of each sensor
@@ -121,7 +122,7 @@ def _response_length(
 
 
 def _groups(rows: Rows, length: int) -> tuple[Rows, Array]:
-    """Return groups of rows that are at least a length apart, and pulses in alternating directions, V, (r,) each."""
+    """Return groups of rows at least a length apart, and pulses in alternating directions, V, (r,) each."""
     groups, pulses = np.zeros(len(rows), dtype=int), np.full(len(rows), _PULSE)
     last = deque[int]()  # for each group, the index of its last row; the earliest first
     for k, row in enumerate(rows):

@@ -1,8 +1,8 @@
 """Candidates of the search: effects at sites with starting values, which strategies propose.
 
-A strategy is a function of what the search knows (`SearchState`), in the registry `STRATEGIES`. The modules in
-`strategies/` register those of the package. A proposal costs only a part of one simulation: `screening` ranks all of
-them, and only the best are fitted.
+A strategy is a function of what the search knows (`SearchState`), in the registry `STRATEGIES`. The modules
+in `strategies/` register those of the package. A proposal costs only a part of one simulation: `screening`
+ranks all of them, and only the best are fitted.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ class Candidate:
     Attributes:
         effect: Definition of the effect.
         site: Name of the coordinate, drive or sensor on which the effect acts, or "machine".
-        columns: Basis functions of the effect (for example sine and cosine), whose weighted sum is the effect. Each is
-            a complete set of effect parameters, by parameter name, with the amplitude at its typical size. An effect
-            without an amplitude has a single set, which is the effect itself.
+        columns: Basis functions of the effect (for example sine and cosine), whose weighted sum is the
+            effect. Each is a complete set of effect parameters, by parameter name, with the amplitude at its
+            typical size. An effect without an amplitude has a single set, which is the effect itself.
         scales: Typical sizes at the site (force, speed, ...), by unit of the effect's parameters.
     """
 
@@ -55,14 +55,14 @@ class Candidate:
 
     @property
     def has_no_amplitude(self) -> bool:
-        """Whether the effect has no amplitude parameter; its only basis function then has no weight to fit."""
+        """Whether the effect has no amplitude parameter; its only basis function then has no weight."""
         return not self.effect.amplitudes
 
     def differs_in_thresholds(self, other: Candidate) -> bool:
         """Check whether another candidate for the same effect differs from this one only in its thresholds.
 
-        A threshold is a parameter on which predictions depend in steps. A fit tries several values of it, so that two
-        such candidates lead to the same fit.
+        A threshold is a parameter on which predictions depend in steps. A fit tries several values of it, so
+        that two such candidates lead to the same fit.
 
         Args:
             other: Candidate with other starting values of the effect.
@@ -77,8 +77,9 @@ class Candidate:
         """Return the effect with given weights of its basis functions (`columns`).
 
         Args:
-            amounts: Weight of each basis function, dimensionless, shape (basis functions,); a weight of 1 gives the
-                typical amplitude. The number of basis functions depends on the parameters of the effect:
+            amounts: Weight of each basis function, dimensionless, shape (basis functions,); a weight of 1
+                gives the typical amplitude. The number of basis functions depends on the parameters of the
+                effect:
 
                 - With a phase, there are two, sine and cosine; amplitude and phase follow from their weights.
                 - Without a phase, there is one per amplitude; the amplitude is its typical size * weight.
@@ -108,13 +109,13 @@ class SearchState:
         machine: Machine with the effects that have been selected so far.
         data: Prepared recordings that are fitted.
         scales: Typical sizes of force, speed, ... at each component.
-        missing_force: By coordinate name, an array of shape (n, 3) over all rows of all runs with the columns position,
-            velocity and missing force (the force that the model lacks): m, m/s, N or rad, rad/s, Nm. The runs follow
-            each other as in `data.runs`.
+        missing_force: By coordinate name, an array of shape (n, 3) over all rows of all runs with the columns
+            position, velocity and missing force (the force that the model lacks): m, m/s, N or rad, rad/s,
+            Nm. The runs follow each other as in `data.runs`.
         slow: Whether a narrow observer shows errors that change slowly.
-        sensor_errors: By channel of the sensors of positions, an array of shape (n, 3) with the columns position,
-            velocity and error of the sensor (`missing_force.sensor_errors`). The strategy `library` proposes no
-            periodic errors of other sensors.
+        sensor_errors: By channel of the sensors of positions, an array of shape (n, 3) with the columns
+            position, velocity and error of the sensor (`missing_force.sensor_errors`). The strategy `library`
+            proposes no periodic errors of other sensors.
     """
 
     machine: Machine
@@ -147,11 +148,11 @@ class SearchState:
     def sites(self, effect: Effect) -> tuple[str, ...]:
         """Return the sites at which the machine may lack an effect, and where a strategy may propose it.
 
-        There is none for effects that replace a part of the model (they add coordinates or replace dry friction), which
-        `structures.screen_structures` tries. An effect that a refit of the machine's parameters can represent has sites
-        only where an effect that all drives share follows it: with a dead band for all drives, a gain of one drive
-        before it cannot be replaced by this drive's torque constant behind it. Left out are sites where the machine has
-        the effect, or lacks another one that it requires.
+        There is none for effects that replace a part of the model (they add coordinates or replace dry
+        friction), which `structures.screen_structures` tries. An effect that a refit of the machine's
+        parameters can represent has sites only where an effect that all drives share follows it: with a dead
+        band for all drives, a gain of one drive before it cannot be replaced by this drive's torque constant
+        behind it. Left out are sites where the machine has the effect, or lacks another one that it requires.
         """
         if effect.replaces_model_part:
             return ()
@@ -165,20 +166,20 @@ class SearchState:
         )
 
     def _is_followed(self, effect: Effect, site: str) -> bool:
-        """Return whether an effect that several drives share changes the voltage after an effect of one drive."""
+        """Return whether an effect that several drives share changes the voltage after one of one drive."""
         after = (e for e in self.machine.effects if e.definition.signal_order > effect.signal_order)
         shared = any(e.definition.voltage is not None and e.site == "drives" for e in after)
         return shared and site != "drives" and len(self.machine.drives) > 1
 
     def sizes(self, effect: Effect, site: str) -> Mapping[str, float]:
-        """Return the typical sizes, SI, at a site of an effect, by unit of its parameters (`TypicalScales.of`)."""
+        """Return typical sizes, SI, at a site of an effect, by parameters' unit (`TypicalScales.of`)."""
         return _scales_at(effect, site, self.machine, self.scales)
 
     def unexplained(self, effect: Effect, site: str) -> Array:
         """Return position, velocity and what the model lacks where an effect acts, shape (n, 3).
 
-        What it lacks is the error of the sensor (`sensor_errors`) for an effect of a sensor, otherwise the force at the
-        coordinate on which the effect acts (`missing_force`). No rows if it is not known.
+        What it lacks is the error of the sensor (`sensor_errors`) for an effect of a sensor, otherwise the
+        force at the coordinate on which the effect acts (`missing_force`). No rows if it is not known.
         """
         if effect.site == "sensor":
             return self.sensor_errors.get(site, np.zeros((0, 3)))
@@ -229,8 +230,9 @@ def candidates(state: SearchState) -> list[Candidate]:
         state: What the search knows.
 
     Returns:
-        Candidates, those of one strategy after those of another, in the order of the strategies' names. Proposals at
-        other sites than `SearchState.sites`, and with values that the runs cannot show, are left out.
+        Candidates, those of one strategy after those of another, in the order of the strategies' names.
+        Proposals at other sites than `SearchState.sites`, and with values that the runs cannot show, are left
+        out.
     """
     proposed = [candidate for name in sorted(STRATEGIES) for candidate in STRATEGIES.get(name)(state)]
     sites = {c.effect.name: state.sites(c.effect) for c in proposed}
@@ -285,8 +287,8 @@ def covered_by_runs(parameter: EffectParameter) -> bool:
 def coverage(parameter: EffectParameter, scales: Mapping[str, float]) -> tuple[float, float]:
     """Return between which values the runs can show a parameter of an effect.
 
-    A period longer than the travel cannot be told from a slope, a speed scale above the highest speed from viscous
-    friction, a time constant longer than the session from a linear change.
+    A period longer than the travel cannot be told from a slope, a speed scale above the highest speed from
+    viscous friction, a time constant longer than the session from a linear change.
 
     Args:
         scales: Typical sizes at its component, by unit (`TypicalScales`).
@@ -307,10 +309,10 @@ def effect_parameters(
 ) -> tuple[FreeParameter, ...]:
     """List the parameters of an effect that a fit changes (free parameters), with their priors and bounds.
 
-    The optimizer changes one dimensionless variable theta per parameter. With the starting value and the typical size
-    of a parameter, its value is start * exp(theta) if it must be positive, and start + size * theta for an amplitude, a
-    phase, or a parameter that may be zero or negative. The ordinates of a table (a curve given by its values at knots)
-    are size * theta.
+    The optimizer changes one dimensionless variable theta per parameter. With the starting value and the
+    typical size of a parameter, its value is start * exp(theta) if it must be positive, and start + size *
+    theta for an amplitude, a phase, or a parameter that may be zero or negative. The ordinates of a table (a
+    curve given by its values at knots) are size * theta.
 
     Args:
         effect: Effect with its starting values.
@@ -318,7 +320,8 @@ def effect_parameters(
         scales: Typical sizes of force, speed and so on, by the unit of the parameter.
 
     Returns:
-        One free parameter for every parameter of the effect, except parameters that its definition declares as fixed.
+        One free parameter for every parameter of the effect, except parameters that its definition declares
+        as fixed.
     """
     at_site = _scales_at(effect.definition, effect.site, machine, scales)
     free = []
@@ -331,7 +334,8 @@ def effect_parameters(
             size = max(size, abs(value))
         lower, upper = _bounds(p, value, at_site)
         if effect.definition.family == TABLE_FAMILY:
-            # Centered at zero, because the prior of a smooth curve (`along`) penalizes differences of the ordinates.
+            # Centered at zero, because the prior of a smooth curve (`along`) penalizes differences of the
+            # ordinates.
             free.append(
                 FreeParameter(name, 0.0, prior=10.0, scale=size, lower=lower, upper=upper, along=effect.label)
             )
@@ -349,7 +353,7 @@ def effect_parameters(
 
 
 def _period_prior(parameter: EffectParameter, value: float, scales: Mapping[str, float]) -> float:
-    """Return the relative standard deviation of a period or rate: half a period over the range of the positions."""
+    """Return the relative standard deviation of a period or rate: half a period over the positions' range."""
     span = scales.get("position", 0.0)  # range of the positions
     periods = span * value / (2 * np.pi) if parameter.role == "rate" else span / value
     return max(_LEAST_PERIOD_PRIOR, 0.5 / max(periods, MIN_FRICTION_PERIODS))
@@ -358,7 +362,8 @@ def _period_prior(parameter: EffectParameter, value: float, scales: Mapping[str,
 def _bounds(parameter: EffectParameter, value: float, scales: Mapping[str, float]) -> tuple[float, float]:
     """Return the bounds between which a fit may change a parameter of this value.
 
-    They are those of its definition, without values that the recorded motion cannot distinguish from another effect.
+    They are those of its definition, without values that the recorded motion cannot distinguish from another
+    effect.
     """
     least, most = coverage(parameter, scales)
     lower = max(parameter.lower, least)

@@ -1,10 +1,10 @@
-"""How much of a missing force, or of the disagreement of sensors, a cause explains in runs that it was not fitted to.
+"""How much of a missing force, or of the disagreement of sensors, a cause explains in other runs.
 
-What refitted parameters can absorb (forces in proportion to accelerations, velocities, directions, voltages) is removed
-from force and curves alike. The curve of a cause is fitted to all runs but one and then compared with the force in that
-run; the sum over all runs is what the cause explains. Chance therefore explains nothing on average, however many causes
-there are, and causes at different components compete for the same force: that on a motor acts on both carriages in one
-ratio.
+What refitted parameters can absorb (forces in proportion to accelerations, velocities, directions, voltages)
+is removed from force and curves alike. The curve of a cause is fitted to all runs but one and then compared
+with the force in that run; the sum over all runs is what the cause explains. Chance therefore explains
+nothing on average, however many causes there are, and causes at different components compete for the same
+force: that on a motor acts on both carriages in one ratio.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from ..judge import cause as judge
 
 _MOST_ROWS = 10_000  # that are compared; of longer recordings fewer per second
 _PIECES = 6  # fewer runs are divided into at least that many pieces, each of which is left out once
-# Of the mean square of a curve's pieces: pieces that the other runs do not excite get no force, and the more noise
-# there is, the flatter is the best curve.
+# Of the mean square of a curve's pieces: pieces that the other runs do not excite get no force, and the more
+# noise there is, the flatter is the best curve.
 _RIDGES = (1e-4, 0.03, 0.3)
 _RESTING = 0.01  # of the rms speed of each motion; a machine at rest shows no force
 _RESTING_S = 0.025  # rows that are that close to motion count as motion, so that breakaways do
@@ -41,8 +41,8 @@ class Cause(NamedTuple):
         component: Where it acts.
         variable: Name of its variable.
         coordinate: The component's coordinate.
-        parts: Its curves: forces on a coordinate (index) or errors of a sensor (index); with one set of coefficients.
-            With an index of None, all channels have the curve, each with other coefficients.
+        parts: Its curves: forces on a coordinate (index) or errors of a sensor (index); with one set of
+            coefficients. With an index of None, all channels have the curve, each with other coefficients.
     """
 
     component: str
@@ -89,7 +89,8 @@ class Signals:
         """Return columns, shape (rows of all runs, k), at the n rows that are compared, shape (n, k).
 
         Args:
-            lag: Numerator and denominator of a filter that is applied first, shape (order + 1,) each. Default: none.
+            lag: Numerator and denominator of a filter that is applied first, shape (order + 1,) each.
+                Default: none.
         """
         by_run = [columns[of_run] for of_run in self._slices]
         if lag is not None:
@@ -115,7 +116,7 @@ class Signals:
         return np.concatenate([filter_of_run(self._variables[name][rows]) for rows in self._slices])
 
     def pieces(self) -> NDArray[np.int64]:
-        """Return the first compared row of each piece, shape (pieces,): runs, or parts of runs if there are few."""
+        """Return the first compared row of each piece, shape (pieces,): runs, or parts of few runs."""
         each = max(1, -(-_PIECES // len(self._kept)))
         firsts, first = [], 0
         for rows in self._kept:
@@ -124,7 +125,7 @@ class Signals:
         return np.array(firsts)
 
     def run_constants(self) -> Array:
-        """Return one column per run that is 1 in it and 0 elsewhere, at the n compared rows, shape (n, runs)."""
+        """Return a column per run that is 1 in it and 0 elsewhere, at n compared rows, shape (n, runs)."""
         lengths = [len(rows) for rows in self._kept]
         return np.repeat(np.eye(len(lengths)), lengths, axis=0)
 
@@ -137,7 +138,8 @@ class Unexplained(NamedTuple):
         noise: The part of them that noise causes, same shape.
         prompt: The same values without the lag of `filters`, to find periods and resonances, same shape.
         directions: Value of each channel per unit of a cause at each index, shape (channels, indices).
-        filters: Numerator and denominator of the filter by which each channel follows causes; None if at once.
+        filters: Numerator and denominator of the filter by which each channel follows causes; None if at
+            once.
     """
 
     values: Array
@@ -148,12 +150,13 @@ class Unexplained(NamedTuple):
 
 
 class CauseComparison:
-    """Comparison of causes with what a machine does not explain, without what refitted parameters absorb of it.
+    """Comparison of causes with what a machine does not explain, without what refits absorb of it.
 
     Args:
         signals: Variables, and the rows that are compared.
         unexplained: Forces or disagreements at these rows.
-        absorbed: Signals of which any linear combination is removed from each channel, at all rows, shape (rows, k).
+        absorbed: Signals of which any linear combination is removed from each channel, at all rows,
+            shape (rows, k).
         free_constants: Whether a constant of each run is removed as well, such as the zero of a sensor.
     """
 
@@ -195,7 +198,7 @@ class CauseComparison:
         return self._prompt @ self.direction(index)
 
     def _designs(self, cause: Cause) -> list[Array]:
-        """Return what each channel shows of the curve of a cause, without what is absorbed, shape (n, k) each."""
+        """Return what each channel shows of a cause's curve, without what is absorbed, shape (n, k) each."""
         channels = self._values.shape[1]
         designs: list[Array] = []
         for channel, basis in enumerate(self._bases):
@@ -217,9 +220,10 @@ class CauseComparison:
             cause: Signals, of which the linear combination that explains most is fitted.
 
         Returns:
-            reduction: Reduction of the sum of squares in pieces of the runs to which the cause was not fitted.
-            certain: The reduction minus its standard error, from the differences between the pieces.
-            fraction: What the cause explains, fitted to all pieces, over what noise does not; without what it explains
+            reduction: Reduction of the sum of squares in pieces of the runs to which the cause was not
+            fitted. certain: The reduction minus its standard error, from the differences between the pieces.
+            fraction: What the cause explains, fitted to all pieces, over what noise does not; without what it
+            explains
                 of the noise.
         """
         designs = self._designs(cause)
@@ -257,7 +261,7 @@ def _orthonormal(columns: Array) -> Array:
 
 
 def _moving_rows(velocities: Array, period: float, step: int) -> NDArray[np.int64]:
-    """Return every step-th row in which the machine moves along a motion, (n, motions), or shortly before or after."""
+    """Return every step-th row with movement along a motion, (n, motions), or just before or after."""
     speeds = np.abs(velocities)
     moving = (speeds > _RESTING * np.sqrt(np.mean(speeds**2, axis=0))).any(axis=1)
     near = np.convolve(moving, np.ones(2 * round(_RESTING_S / period) + 1), mode="same") > 0.0

@@ -1,9 +1,9 @@
-"""Causes of a missing force and of what sensors disagree about, each a curve of unknown shape at one component.
+"""Causes of a missing force and of sensors' disagreement, each a curve of unknown shape at one component.
 
-What a machine lacks may be no effect of the library. A cause says less than an effect, and covers more: it is any
-curve over one variable (`variables_of_motion`), at one component. The curve may be multiplied by the direction of
-motion (then it is friction), by a current (a torque) or by a voltage. Friction that depends on the position of another
-axis, for example, is a curve over that position, multiplied by the direction.
+What a machine lacks may be no effect of the library. A cause says less than an effect, and covers more: it is
+any curve over one variable (`variables_of_motion`), at one component. The curve may be multiplied by the
+direction of motion (then it is friction), by a current (a torque) or by a voltage. Friction that depends on
+the position of another axis, for example, is a curve over that position, multiplied by the direction.
 
 Functions here return a cause as columns, of which `CauseComparison` fits the coefficients.
 """
@@ -24,7 +24,8 @@ from .cause_comparison import Cause, CauseComparison, Columns, Signals
 
 CONSTANT = "constant"  # in the place of a variable: a force that depends on nothing
 _KNOTS, _KNOTS_OF_FRICTION = 13, 6  # of a curve; of one that is multiplied by the direction of motion
-# A force that is periodic in the position has this frequency, Hz, at most in slow motion: what is compared is below 30.
+# A force that is periodic in the position has this frequency, Hz, at most in slow motion: what is compared is
+# below 30.
 _HIGHEST_HZ = 25.0
 _SLOW_MOTION = 0.2  # fraction of the rows that are slower than slow motion
 _FEWEST_PERIODS, _MOST_PERIODS = 2.0, 400.0  # of a periodic cause, in the travel
@@ -42,8 +43,8 @@ def causes_of_force(
 
     Args:
         comparison: Comparison with the missing force.
-        directions: Force along each motion per force on a coordinate, dimensionless, shape (motions, coordinates). A
-            force on a coordinate without an influence is no cause.
+        directions: Force along each motion per force on a coordinate, dimensionless,
+            shape (motions, coordinates). A force on a coordinate without an influence is no cause.
         deviating: Coordinates whose sensors show more than noise, shape (coordinates,).
     """
     names = machine.coordinate_names
@@ -66,7 +67,7 @@ def causes_of_force(
 
 
 def _causes_on_coordinate(machine: Machine, comparison: CauseComparison, i: int) -> Iterator[Cause]:
-    """Yield causes that act on coordinate i: forces, a constant one first, friction that varies, and a resonance."""
+    """Yield causes that act on coordinate i: forces, a constant one first, varying friction, a resonance."""
     signals, name = comparison.signals, machine.coordinate_names[i]
     position, velocity, acceleration = (
         f"{what} of {name}" for what in ("position", "velocity", "acceleration")
@@ -93,7 +94,7 @@ def _causes_on_coordinate(machine: Machine, comparison: CauseComparison, i: int)
 
 
 def _causes_by_drive(machine: Machine, comparison: CauseComparison, j: int) -> Iterator[Cause]:
-    """Yield causes that are forces of drive j: errors of its current and voltage, heat, and ripple of the torque."""
+    """Yield causes that are forces of drive j: current and voltage errors, heat, and ripple of the torque."""
     signals, drive, volts = comparison.signals, machine.drives[j], machine.input_channels[j]
     i = machine.coordinate_names.index(drive.coordinate)
     amps, heat = f"current of {drive.name}", f"heat of {drive.name}"
@@ -111,7 +112,7 @@ def _causes_by_drive(machine: Machine, comparison: CauseComparison, j: int) -> I
 
 
 def _changes_by_supply(machine: Machine, signals: Signals, j: int) -> dict[str, Columns]:
-    """Return changes of the drive force that all drives have alike, as columns by variable, in units of its gain.
+    """Return changes of drive force that all drives have alike, as columns by variable, in units of its gain.
 
     Torque saturates over the current; the voltage of the supply sags with the power.
     """
@@ -127,8 +128,8 @@ def _clock(machine: Machine, signals: Signals, acting: list[int]) -> Cause:
     """Return the cause of a clock whose rate changes during the runs.
 
     Where time runs faster than the clock by a small fraction e, the true velocity is (1 - e) v and the true
-    acceleration (1 - 2 e) a, so that inverse dynamics err by e (2 m a + d v); d: viscous friction and back-EMF. Here, e
-    is a polynomial of the time in the run without a constant, which masses absorb.
+    acceleration (1 - 2 e) a, so that inverse dynamics err by e (2 m a + d v); d: viscous friction and
+    back-EMF. Here, e is a polynomial of the time in the run without a constant, which masses absorb.
     """
     names, time = machine.coordinate_names, signals["time in the run"][:, None]
     from_middle = time - 0.5 * time.max()
@@ -147,7 +148,7 @@ def _clock(machine: Machine, signals: Signals, acting: list[int]) -> Cause:
 def causes_of_disagreement(
     machine: Machine, comparison: CauseComparison, deviating: NDArray[np.bool_]
 ) -> Iterator[Cause]:
-    """Yield causes by which sensors disagree: an error of one, play or slip behind a motor, and belts that creep.
+    """Yield causes by which sensors disagree: an error of one, play or slip behind a motor, creeping belts.
 
     Args:
         comparison: Comparison with what the sensors disagree about.
@@ -202,14 +203,14 @@ class _Lags:
 
 
 def _polynomial(values: Array) -> Columns:
-    """Return the change of a variable since the first row, and its square, each of about unit size, shape (n, 2)."""
+    """Return a variable's change since the first row, and its square, each about 1 in size, shape (n, 2)."""
     shifted = values - values[0]
     scaled = shifted / (float(np.abs(shifted).max()) or 1.0)
     return np.stack([scaled, scaled**2], axis=1)
 
 
 def _curve(values: Array, knots: int) -> Columns:
-    """Return hat functions over a variable, shape (n, at most knots); the knots divide the rows into equal numbers."""
+    """Return hat functions over a variable, (n, at most knots); knots divide the rows into equal numbers."""
     places = np.unique(np.quantile(values, np.linspace(0.0, 1.0, knots)))
     if len(places) < 2:
         return np.ones((len(values), 1))
@@ -252,7 +253,7 @@ def _periodic(comparison: CauseComparison, index: int, position: str, speed: str
 
 
 def _resonance(comparison: CauseComparison, index: int, acceleration: str) -> Columns:
-    """Return deflection and velocity of the resonator that explains the most, as forces per mass, shape (rows, 2).
+    """Return deflection and velocity of the best resonator, as forces per mass, shape (rows, 2).
 
     A mass on a spring, q'' + 2 D w q' + w^2 q = -a, is driven by the acceleration a of what carries it.
     """

@@ -1,4 +1,4 @@
-"""Rank the causes on which the force that a machine lacks, or the disagreement of its sensors, depends: a hint."""
+"""Rank the causes on which the force that a machine lacks, or its sensors' disagreement, depends: a hint."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ class Dependence(NamedTuple):
     Attributes:
         variable: Name of the variable, e.g. "velocity of x"; `CONSTANT` for a force that depends on nothing.
         coordinate: Coordinate on which the force acts.
-        explained: Fraction of the variance beyond noise, of the residual force or of the disagreement of the sensors,
-            that the variable explains in runs to which the curve was not fitted, in [0, 1].
+        explained: Fraction of the variance beyond noise, of the residual force or of the disagreement of the
+            sensors, that the variable explains in runs to which the curve was not fitted, in [0, 1].
         component: Where the cause lies: a coordinate, drive or output channel, "drives", "belts" or "clock".
     """
 
@@ -56,10 +56,10 @@ def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
         machine: Machine that predicts, with its parameters fitted.
 
     Returns:
-        Variables with their components that explain more than 5 % of the force, or of the disagreement, beyond noise.
-        Sorted by the fraction, noise included, that they explain for certain (one standard error) in runs to which they
-        were not fitted, largest first. A coordinate has none if its sensors show only white noise in a simulation, or
-        if it never moves.
+        Variables with their components that explain more than 5 % of the force, or of the disagreement,
+        beyond noise. Sorted by the fraction, noise included, that they explain for certain (one standard
+        error) in runs to which they were not fitted, largest first. A coordinate has none if its sensors show
+        only white noise in a simulation, or if it never moves.
     """
     white = white_sensors(machine, data)
     deviating = _deviating(machine, white)
@@ -101,7 +101,7 @@ def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
 
 
 def _ranked(comparison: CauseComparison, causes: Iterable[Cause]) -> list[tuple[float, Dependence]]:
-    """Return the causes that explain enough of what is missing, each with the number by which they are sorted."""
+    """Return causes that explain enough of what is missing, each with the number by which they are sorted."""
     ranked = []
     for cause in causes:
         plain = cause.variable.startswith(_PLAIN)
@@ -138,8 +138,8 @@ def _absorbed(machine: Machine, signals: Signals) -> Array:
     return np.stack(columns, axis=1)
 
 
-# Variables of a force by the arguments of its formula. Other formulas (of a voltage, a tension) may depend on any
-# variable of their component.
+# Variables of a force by the arguments of its formula. Other formulas (of a voltage, a tension) may depend on
+# any variable of their component.
 _VARIABLES = {"q": "position", "v": "velocity", "direction": "velocity", "t": "time", "drive": "load"}
 _FRICTION_HOOKS = ("coulomb", "friction", "viscous")  # it changes its sign with the velocity
 _SENSOR_HOOKS = {"measurement", "measurement_delay"}
@@ -148,11 +148,11 @@ _SENSOR_HOOKS = {"measurement", "measurement_delay"}
 def agree_with_causes(
     effects: Sequence[AppliedEffect], ranked: Sequence[Dependence], machine: Machine
 ) -> bool:
-    """Return whether effects act where the missing force comes from, which `rank_dependences` found without formulas.
+    """Return whether effects act where the missing force comes from (`rank_dependences`, without formulas).
 
-    An effect agrees with a cause if it acts on the same component, and its formula depends on the same kind of
-    variable, or on none if the cause is a constant force. An effect of a sensor agrees with none: belts that slip
-    imitate a wrong scale, and a true error of a sensor leaves no missing force.
+    An effect agrees with a cause if it acts on the same component, and its formula depends on the same kind
+    of variable, or on none if the cause is a constant force. An effect of a sensor agrees with none: belts
+    that slip imitate a wrong scale, and a true error of a sensor leaves no missing force.
 
     Args:
         effects: Effects that the search selected.
@@ -170,7 +170,7 @@ def agree_with_causes(
 def _is_cause(
     effect: AppliedEffect, cause: Dependence, effects: Sequence[AppliedEffect], machine: Machine
 ) -> bool:
-    """Return whether an effect acts on the component of a cause, and its formula depends on the cause's variable.
+    """Return whether an effect acts on a cause's component, and its formula depends on the cause's variable.
 
     An effect that each drive has acts on the drives together.
     """

@@ -27,8 +27,8 @@ _SMALL_FRACTION = 1e-4  # fraction of the typical amplitude at which a nonlinear
 class Perturbation(NamedTuple):
     """Forces and changes of measurements that the basis functions of candidate effects cause along a motion.
 
-    One column is one basis function of an effect (for example a sine or a cosine) at its typical size; n is the number
-    of samples.
+    One column is one basis function of an effect (for example a sine or a cosine) at its typical size; n is
+    the number of samples.
 
     Attributes:
         force: Force on every coordinate, N or Nm, shape (columns, n, coordinates).
@@ -47,7 +47,8 @@ class PerturbedMachine(NamedTuple):
         columns: Number of variants.
         fraction: Size of the variants as a fraction of that of the basis functions, dimensionless.
         equations: Equations of the machine with the effect; each parameter of it has the shape (columns, 1).
-        step: Fraction of the basis functions by which predictions are changed to get derivatives, dimensionless.
+        step: Fraction of the basis functions by which predictions are changed to get derivatives,
+            dimensionless.
     """
 
     effect: Effect
@@ -61,14 +62,15 @@ def perturbed_machines(machine: Machine, candidates: Sequence[Candidate]) -> lis
     """Return the machine with each of some effects, for `candidate_perturbations` along several motions.
 
     Args:
-        candidates: Candidate effects. Successive ones with the same effect and site are variants of one machine.
+        candidates: Candidate effects. Successive ones with the same effect and site are variants of one
+            machine.
     """
     bare, perturbed = _without_effects(machine), []
     for _, group in itertools.groupby(candidates, key=lambda c: c.label):
         members = list(group)
         effect, columns = members[0].effect, [column for c in members for column in c.columns]
-        # A small amplitude keeps the response linear: a Coulomb level cannot become negative, and the force of an
-        # eccentric pulley contains the product of belt travel and lever arm.
+        # A small amplitude keeps the response linear: a Coulomb level cannot become negative, and the force
+        # of an eccentric pulley contains the product of belt travel and lever arm.
         fraction = _SMALL_FRACTION if effect.coulomb or effect.belt_travel else 1.0
         scales = {name: fraction if name in effect.amplitudes else 1.0 for name in columns[0]}
         # Shape (columns, 1) each, so that all basis functions are evaluated at all samples at once.
@@ -119,7 +121,8 @@ class Unperturbed:
             equations: Equations of the machine, with effects or without.
 
         Returns:
-            Readings in the sensors' units, shape (n,) each, or (columns, n) for several variants of an effect.
+            Readings in the sensors' units, shape (n,) each, or (columns, n) for several variants of an
+            effect.
         """
         return equations.sensor_readings(*self._columns)
 
@@ -127,9 +130,9 @@ class Unperturbed:
 def candidate_perturbations(unperturbed: Unperturbed, perturbed: Sequence[PerturbedMachine]) -> Perturbation:
     """Compute the forces and measurement changes that candidate effects of typical size cause along a motion.
 
-    `screen` linearizes the residual with them. They are approximate in three respects: the motion is computed for the
-    machine without the candidate, the candidate does not interact with other effects, and forces are constant from each
-    sample to the next.
+    `screen` linearizes the residual with them. They are approximate in three respects: the motion is computed
+    for the machine without the candidate, the candidate does not interact with other effects, and forces are
+    constant from each sample to the next.
 
     Args:
         unperturbed: Motion of the machine, n samples.
@@ -137,7 +140,8 @@ def candidate_perturbations(unperturbed: Unperturbed, perturbed: Sequence[Pertur
 
     Returns:
         Forces, N or Nm, shape (columns, n, coordinates), and changes of measurements, m or rad, shape
-        (columns, n, sensors). A column is one basis function of one candidate, in the order of `Candidate.columns`.
+        (columns, n, sensors). A column is one basis function of one candidate, in the order of
+        `Candidate.columns`.
     """
     count, first, motion = sum(each.columns for each in perturbed), 0, unperturbed.motion
     force = np.zeros((count, *motion.positions.shape[1:]))

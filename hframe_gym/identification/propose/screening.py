@@ -1,10 +1,10 @@
 """Rank candidate effects by the reduction of the cost that a linearized model predicts, without fitting any.
 
-The cost is chi-squared, the sum of squared residuals in units of the noise. A candidate effect of small size adds a
-known force, or a known change of a measurement, along the fitted machine's motion (`perturbations`). The response of
-the predicted measurements to it is one column of the linearized residual. After elimination of the machine's free
-parameters, the squared correlation of column and residual is the reduction of the cost that a fit of the candidate
-would achieve. Effects that cannot have a small size are ranked by `structures`.
+The cost is chi-squared, the sum of squared residuals in units of the noise. A candidate effect of small size
+adds a known force, or a known change of a measurement, along the fitted machine's motion (`perturbations`).
+The response of the predicted measurements to it is one column of the linearized residual. After elimination
+of the machine's free parameters, the squared correlation of column and residual is the reduction of the cost
+that a fit of the candidate would achieve. Effects that cannot have a small size are ranked by `structures`.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ from .perturbations import (
 )
 
 _COLUMNS_AT_ONCE = 64  # simulated together: their forces stay in the processor's cache, and memory is bounded
-# Where this fraction of the square of a candidate's response or less is left by the machine's free parameters, these
-# reproduce it entirely.
+# Where this fraction of the square of a candidate's response or less is left by the machine's free
+# parameters, these reproduce it entirely.
 _REPRODUCED = 1e-6
 # Relative to the diagonal of the information; keeps equations solvable where two effects act alike.
 _RIDGE = 1e-9
@@ -57,8 +57,8 @@ class ScoredCandidate(NamedTuple):
     Attributes:
         candidate: Effect, site and starting values.
         gain: Predicted reduction of chi-squared, summed over all samples.
-        amounts: Weight of each of its basis functions (`Candidate.columns`) with which this reduction is reached,
-            dimensionless.
+        amounts: Weight of each of its basis functions (`Candidate.columns`) with which this reduction is
+            reached, dimensionless.
     """
 
     candidate: Candidate
@@ -82,19 +82,21 @@ class Resemblance(NamedTuple):
 class Screening:
     """Candidates of a fitted machine, beside the linearized residual that ranks them.
 
-    A candidate is a weighted sum of basis functions, such as sine and cosine; the weights are called its amounts. The
-    residual is linearized with respect to amounts and the machine's free parameters, so that the best ones follow from
-    a linear equation.
+    A candidate is a weighted sum of basis functions, such as sine and cosine; the weights are called its
+    amounts. The residual is linearized with respect to amounts and the machine's free parameters, so that the
+    best ones follow from a linear equation.
 
     Attributes:
         fit: Fit of the machine without the candidates; they are evaluated at its observer bandwidth.
         data: Runs that were fitted.
         candidates: Effects, sites (components) and starting values to compare.
-        removable: Labels (name@site) of effects of the machine of which it is known what their removal changes.
+        removable: Labels (name@site) of effects of the machine of which it is known what their removal
+            changes.
         compared: Labels of effects of the machine that the candidates may resemble.
-        equations: Normal equations of the linearized residual. Besides derivatives by the free parameters, they have
-            responses, in this order: what the removal of each effect in `removable` changes in a machine that is
-            otherwise the same, then each effect in `compared`, then the basis functions of the candidates.
+        equations: Normal equations of the linearized residual. Besides derivatives by the free parameters,
+            they have responses, in this order: what the removal of each effect in `removable` changes in a
+            machine that is otherwise the same, then each effect in `compared`, then the basis functions of
+            the candidates.
     """
 
     fit: Fit
@@ -121,8 +123,8 @@ class Screening:
             candidates: Candidates, at least one.
             data: Runs that were fitted.
             without: By the label of an effect, the fitted machine without it. Default: none.
-            compared: Effects of the machine that the candidates may resemble, each with its parameters as the only
-                basis function. They neither add coordinates nor replace dry friction.
+            compared: Effects of the machine that the candidates may resemble, each with its parameters as the
+                only basis function. They neither add coordinates nor replace dry friction.
         """
         model, may_go_on, without = screening_model(fit, data), spender(), without or {}
         of_compared = [
@@ -143,12 +145,13 @@ class Screening:
         return cls(fit, data, candidates, tuple(without), labels, equations)
 
     def ranked(self) -> list[ScoredCandidate]:
-        """Rank the candidates by the reduction of chi-squared that the linearized model predicts, if they are added.
+        """Rank the candidates by the reduction of chi-squared that the linearized model predicts.
 
         Returns:
-            Candidates with the weights of their basis functions and the reduction of chi-squared (summed over all
-            samples, dimensionless), in the order of decreasing reduction. It is 0 if only an amplitude outside its
-            bounds would reduce chi-squared, or if the machine's free parameters can represent the candidate.
+            Candidates with the weights of their basis functions and the reduction of chi-squared (summed over
+            all samples, dimensionless), in the order of decreasing reduction. It is 0 if only an amplitude
+            outside its bounds would reduce chi-squared, or if the machine's free parameters can represent the
+            candidate.
         """
         return self._ranked(self.equations, self.fit.free)[0]
 
@@ -159,8 +162,8 @@ class Screening:
             label: Label of the effect.
 
         Returns:
-            The other effects that do not need this one, as from `ranked`, and the reduction of chi-squared by the
-            effect itself; no candidate and infinity if the machine without it diverges.
+            The other effects that do not need this one, as from `ranked`, and the reduction of chi-squared by
+            the effect itself; no candidate and infinity if the machine without it diverges.
         """
         equations = self.equations.with_added(self.removable.index(label))
         if not math.isfinite(equations.cost):
@@ -173,16 +176,18 @@ class Screening:
     def resembling(self, label: str) -> list[Resemblance]:
         """Find the candidates that these runs hardly distinguish from one of the compared effects.
 
-        What the effect changes in the predictions is a regressor over the recorded motion, as is every basis function
-        of the candidates; what the machine's free parameters can reproduce of them is removed. The part of the effect's
-        regressor that a candidate's cannot represent is what the runs show of the difference between both. In a single
-        sine, for example, position and speed are one variable, at constant speed position and time are.
+        What the effect changes in the predictions is a regressor over the recorded motion, as is every basis
+        function of the candidates; what the machine's free parameters can reproduce of them is removed. The
+        part of the effect's regressor that a candidate's cannot represent is what the runs show of the
+        difference between both. In a single sine, for example, position and speed are one variable, at
+        constant speed position and time are.
 
         Args:
             label: Label of the effect.
 
         Returns:
-            Each candidate effect and site once, without those that need the effect; the most similar one first.
+            Each candidate effect and site once, without those that need the effect; the most similar one
+            first.
         """
         effect = len(self.removable) + self.compared.index(label)  # its index among the responses
         free = self._free_without(label)
@@ -212,7 +217,8 @@ class Screening:
     ) -> tuple[list[ScoredCandidate], float]:
         """Return the ranked candidates, and the cost without any, where only some parameters are free."""
         equations = equations.of_some(self._kept(free), self._of_candidates())
-        # The ridge keeps the elimination possible where parameters have the same influence on the measurements.
+        # The ridge keeps the elimination possible where parameters have the same influence on the
+        # measurements.
         precision = prior_precision(free) + np.diag(_RIDGE * np.diag(equations.information))
         limited = self._limited(equations, free, precision)
         if limited is not None:
@@ -230,10 +236,10 @@ class Screening:
     def _limited(
         self, equations: NormalEquations, free: Sequence[FreeParameter], precision: Array
     ) -> _Limited | None:
-        """Return the linearized residual with the limits of the free parameters; None if they are not in the way.
+        """Return the linearized residual with the free parameters' limits; None if none is in the way.
 
-        Without limits, a parameter that is at one would go on beyond it, and take what a candidate explains: a back-EMF
-        of 0, for example, what a bridge does that lets its motor coast.
+        Without limits, a parameter that is at one would go on beyond it, and take what a candidate explains:
+        a back-EMF of 0, for example, what a bridge does that lets its motor coast.
         """
         if not equations.finite:
             return None
@@ -269,7 +275,8 @@ class _Limited:
     """Linearized residual of a fit whose parameters would leave their limits to reduce it.
 
     Args:
-        equations: Normal equations with k free parameters; the basis functions of candidates are the responses.
+        equations: Normal equations with k free parameters; the basis functions of candidates are the
+            responses.
         precision: Inverse covariance of the parameters' prior, dimensionless, shape (k, k).
         low: Smallest permitted changes of theta, dimensionless, shape (k,).
         high: Largest permitted changes.
@@ -288,11 +295,11 @@ class _Limited:
         self.least_cost, self._least = equations.cost_after(step), self._change(equations.gradient, step)
 
     def _change(self, gradient: Array, step: Array) -> float:
-        """Return the change of the cost, with the penalty of the prior, by a change of theta of shape (k,)."""
+        """Return the change of the cost, with the prior's penalty, by a change of theta of shape (k,)."""
         return float(2.0 * step @ gradient + step @ self._hessian @ step)
 
     def score(self, candidate: Candidate, columns: NDArray[np.intp]) -> ScoredCandidate:
-        """Return a candidate with the reduction of the cost by its best amounts, all parameters within their limits.
+        """Return a candidate with the cost reduction by its best amounts, all parameters within limits.
 
         Args:
             candidate: Candidate of b basis functions.
@@ -330,7 +337,7 @@ def _needs(candidate: Candidate, label: str) -> bool:
 
 
 def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[ScoredCandidate]:
-    """Rank candidate effects by the reduction of chi-squared that a linearized model predicts, without fitting any.
+    """Rank candidates by the reduction of chi-squared that a linearized model predicts, without fits.
 
     Args:
         fit: Fit of the machine without the candidates.
@@ -353,9 +360,9 @@ def screening_model(fit: Fit, data: Dataset) -> ResidualModel:
 def _difference_step(compared: Candidate) -> float:
     """Return the fraction of an effect of the machine that is added to find its response by differences.
 
-    The added part has the same size as that of a candidate, which is a fraction of the typical size. Friction that
-    sticks and slips limits how accurately smaller changes are known: to an error of an encoder of 4 % of the typical
-    one, the computed response was 3.5 times the true one.
+    The added part has the same size as that of a candidate, which is a fraction of the typical size. Friction
+    that sticks and slips limits how accurately smaller changes are known: to an error of an encoder of 4 % of
+    the typical one, the computed response was 3.5 times the true one.
     """
     ratios = [
         abs(parameter.scale * compared.scales.get(parameter.unit, 1.0) / value)
@@ -425,7 +432,8 @@ def _score(
 
     Args:
         candidate: Candidate of b basis functions.
-        information: Products of their responses, less what the free parameters reproduce of them, shape (b, b).
+        information: Products of their responses, less what the free parameters reproduce of them,
+            shape (b, b).
         gradient: Half of the derivative of the cost by the amounts at 0, likewise, shape (b,).
         before: Squares of the complete responses, shape (b,).
         chi2: Chi-squared per sample of the fit, in whose units tables are required to be smooth.
@@ -445,7 +453,7 @@ def _score(
 
 
 def _ridge(candidate: Candidate, information: Array, chi2: float) -> Array:
-    """Return what is added to the products of a candidate's responses, so that amounts exist and tables are smooth."""
+    """Return what to add to products of a candidate's responses: amounts exist, and tables are smooth."""
     ridge: Array = _RIDGE * np.diag(np.maximum(np.diag(information), 1e-300))
     if candidate.effect.family == TABLE_FAMILY:
         ridge += chi2 * second_difference_penalty(len(information))
@@ -455,7 +463,8 @@ def _ridge(candidate: Candidate, information: Array, chi2: float) -> Array:
 def _limits_of_amounts(candidate: Candidate) -> tuple[Array, Array]:
     """Return the smallest and largest amounts of a candidate's basis functions, shape (b,) each.
 
-    A single amplitude stays within its bounds; those of several are clipped with the phase or each for itself.
+    A single amplitude stays within its bounds; those of several are clipped with the phase or each for
+    itself.
     """
     count = len(candidate.columns)
     if count > 1:

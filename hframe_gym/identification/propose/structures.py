@@ -1,8 +1,9 @@
-"""Rank effects that replace a part of the model, and those whose starting values are simulated, by what these promise.
+"""Rank effects that replace a part of the model, and those with simulated start values, by their promise.
 
-An effect that replaces a part of the model cannot have a small size: structural effects add coordinates (a yawing
-bridge, idlers with inertia), others replace dry friction (presliding). Each of their starting values is simulated, and
-the difference from the present machine's prediction takes the place of the response that `screening` linearizes.
+An effect that replaces a part of the model cannot have a small size: structural effects add coordinates (a
+yawing bridge, idlers with inertia), others replace dry friction (presliding). Each of their starting values
+is simulated, and the difference from the present machine's prediction takes the place of the response that
+`screening` linearizes.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ _FITTED_STRUCTURES = 3  # effects that replace a part of the model and are fitte
 def _is_simulated(effect: Effect) -> bool:
     """Return whether starting values of an effect are simulated to rank them.
 
-    Effects that replace a part of the model are, and those whose amplitude has starting values: a large one acts in
-    another way than a small one. Play that exceeds the extension of a belt leaves no tension at all.
+    Effects that replace a part of the model are, and those whose amplitude has starting values: a large one
+    acts in another way than a small one. Play that exceeds the extension of a belt leaves no tension at all.
     """
     return effect.replaces_model_part or any(p.amplitude and any(p.grid) for p in effect.parameters)
 
@@ -39,20 +40,22 @@ def _is_simulated(effect: Effect) -> bool:
 def screen_structures(
     current: Fit, data: Dataset, scale: TypicalScales, minimum_gain: float
 ) -> list[Machine]:
-    """Build machines with the most promising effects that replace a part of the nominal model, one effect each.
+    """Build machines with the most promising effects that replace a part of the model, one effect each.
 
-    These effects add coordinates (structural effects) or replace dry friction. The linearization underestimates their
-    benefit and is no reliable ranking; therefore the three best effects are returned, structural ones with their two
-    best sets of starting values.
+    These effects add coordinates (structural effects) or replace dry friction. The linearization
+    underestimates their benefit and is no reliable ranking; therefore the three best effects are returned,
+    structural ones with their two best sets of starting values.
 
     Args:
-        current: Fit of the machine without such an effect; the effects are evaluated at its observer bandwidth.
+        current: Fit of the machine without such an effect; the effects are evaluated at its observer
+            bandwidth.
         scale: Typical sizes on this machine, by which relative starting values are multiplied.
-        minimum_gain: Smallest linearized reduction of chi-squared per sample, dimensionless, of a promising effect.
+        minimum_gain: Smallest linearized reduction of chi-squared per sample, dimensionless, of a promising
+            effect.
 
     Returns:
-        Copies of the fitted machine, each with one more effect (the last in its list, with starting values); most
-        promising first.
+        Copies of the fitted machine, each with one more effect (the last in its list, with starting values);
+        most promising first.
     """
     present = {e.label for e in current.machine.effects}
     simulated = {
@@ -79,7 +82,8 @@ def _variants(effect: Effect, site: str, machine: Machine, scale: TypicalScales)
 def _starting_values(effect: Effect, typical: Mapping[str, float]) -> list[dict[str, float]]:
     """Return the grid of an effect's starting values, within bounds.
 
-    They are multiples of typical values, but absolute, SI, for structural effects where the unit is not of the site.
+    They are multiples of typical values, but absolute, SI, for structural effects where the unit is not of
+    the site.
     """
     grids = []
     for p in effect.parameters:
@@ -93,10 +97,10 @@ def _starting_values(effect: Effect, typical: Mapping[str, float]) -> list[dict[
 def _structure_gains(
     simulated: Mapping[tuple[Effect, str], Sequence[Machine]], current: Fit, data: Dataset
 ) -> dict[tuple[Effect, str], Array]:
-    """Return the linearized reduction of the cost towards each variant, shape (variants,) for each effect and site.
+    """Return the linearized reduction of cost to each variant, shape (variants,) for each effect and site.
 
-    The difference of the two predictions, without the part that the free parameters can reproduce, is multiplied by its
-    best positive weight.
+    The difference of the two predictions, without the part that the free parameters can reproduce, is
+    multiplied by its best positive weight.
     """
     if not simulated:
         return {}
@@ -128,8 +132,8 @@ def _batches(
 ) -> list[tuple[Machine, Array]]:
     """Return machines and parameters (variants, P) that simulate all variants, in their order.
 
-    Each machine needs newly compiled code. An effect that disappears at zero amplitude is therefore added at all its
-    sites to one machine; its amplitude is zero at all sites but one.
+    Each machine needs newly compiled code. An effect that disappears at zero amplitude is therefore added at
+    all its sites to one machine; its amplitude is zero at all sites but one.
     """
     batches = []
     for effect, members in itertools.groupby(simulated.items(), key=lambda item: item[0][0]):

@@ -1,7 +1,8 @@
-"""Fit candidate effects together with the machine's parameters, with few iterations, so that they can be ranked.
+"""Fit candidate effects together with the machine's parameters, with few iterations, to rank them.
 
-An effect is a deviation from the nominal model; a structural one adds coordinates. A trial is the fit of a machine with
-one candidate effect, its last one. The cost is chi-squared, the sum of squared residuals in units of the noise.
+An effect is a deviation from the nominal model; a structural one adds coordinates. A trial is the fit of a
+machine with one candidate effect, its last one. The cost is chi-squared, the sum of squared residuals in
+units of the noise.
 """
 
 from __future__ import annotations
@@ -51,7 +52,8 @@ class ScreenedFit(NamedTuple):
 
     Attributes:
         scales: Typical sizes on the machine.
-        screening: Fit, data, candidates, the effects that may be replaced and those that candidates may resemble.
+        screening: Fit, data, candidates, the effects that may be replaced and those that candidates may
+            resemble.
     """
 
     scales: TypicalScales
@@ -61,8 +63,9 @@ class ScreenedFit(NamedTuple):
 def screened_fit(current: Fit, data: Dataset, without: Mapping[str, Machine] | None = None) -> ScreenedFit:
     """Propose candidates to a fitted machine, and linearize the residual with them.
 
-    A drive that begins each run in an unknown state, such as the heat of its winding, has another gain in each run. In
-    simulation, that would describe each run by itself, and no other one; an observer leaves little to describe so.
+    A drive that begins each run in an unknown state, such as the heat of its winding, has another gain in
+    each run. In simulation, that would describe each run by itself, and no other one; an observer leaves
+    little to describe so.
 
     Args:
         current: Fit of the machine.
@@ -81,7 +84,7 @@ def screened_fit(current: Fit, data: Dataset, without: Mapping[str, Machine] | N
 
 
 def _is_comparable(effect: AppliedEffect, machine: Machine) -> bool:
-    """Return whether others may take the place of an effect, to first order: nothing depends on its presence."""
+    """Return whether others may replace an effect, to first order: nothing depends on its presence."""
     return not effect.definition.replaces_model_part and not is_required(machine, effect.label)
 
 
@@ -100,9 +103,10 @@ def trial_fits(
 ) -> list[Fit]:
     """Fit the machine with each of the most promising effects, one at a time.
 
-    A linearized model ranks the candidates by the reduction of chi-squared; the best few are fitted. If a parameter of
-    the machine is at its limit, or no candidate is promising although much error is left, the fit without candidates
-    may be in a local minimum. The candidates are then also ranked at the declared parameters and fitted from there.
+    A linearized model ranks the candidates by the reduction of chi-squared; the best few are fitted. If a
+    parameter of the machine is at its limit, or no candidate is promising although much error is left, the
+    fit without candidates may be in a local minimum. The candidates are then also ranked at the declared
+    parameters and fitted from there.
 
     Args:
         current: Fit without candidates; the trials have its observer bandwidth.
@@ -111,8 +115,9 @@ def trial_fits(
         screened: The fit with its candidates, if it is known already.
 
     Returns:
-        Fits, not fully converged, in any order: machine, k parameters (theta, dimensionless, shape (k,)) and cost
-        (chi-squared). One per effect and component, two where effects are also fitted from the declared parameters.
+        Fits, not fully converged, in any order: machine, k parameters (theta, dimensionless, shape (k,)) and
+        cost (chi-squared). One per effect and component, two where effects are also fitted from the declared
+        parameters.
     """
     trials: list[Fit] = []
     if math.isfinite(current.cost):
@@ -137,14 +142,14 @@ def _at_declared_parameters(current: Fit, data: Dataset) -> Fit:
 
 
 def _declared_theta(fitted: Fit) -> Array:
-    """Return theta at which the parameters of effects are those of a fit, and all others are as declared, 0."""
+    """Return theta at which effects have the parameters of a fit, and all others are as declared, 0."""
     return np.where([f.of_effect for f in fitted.free], fitted.theta, 0.0)
 
 
 def _trial_fits_from(
     screened: ScreenedFit, current: Fit, data: Dataset, enough: float, criteria: SelectionCriteria
 ) -> list[Fit]:
-    """Return fits with the most promising candidates, ranked at the parameters of a fit and fitted from there."""
+    """Return fits with the most promising candidates, ranked at a fit's parameters and fitted from there."""
     trials: list[Fit] = []
     start, ranked = screened.screening.fit, screened.screening.ranked()
     # Largest linearized gain of a candidate that explains the data, and the effects that do.
@@ -152,8 +157,9 @@ def _trial_fits_from(
     promising = _promising(start, ranked, data, enough, criteria)
     goal = judge.largest_useful_cost(current.error, enough, criteria)
     for i, scored in enumerate(promising):
-        # Where a candidate explains the data, only its possible rivals are fitted as well: those with a similar gain,
-        # and the same effect at other sites (a common limit explains nearly as much as that of one drive).
+        # Where a candidate explains the data, only its possible rivals are fitted as well: those with a
+        # similar gain, and the same effect at other sites (a common limit explains nearly as much as that of
+        # one drive).
         fitted = [t.machine.effects[-1].label for t in trials]
         elsewhere = scored.candidate.effect.name in explaining and scored.candidate.label not in fitted
         if elsewhere or judge.may_be_rival(scored.gain, best_promise, criteria):
@@ -167,7 +173,7 @@ def _trial_fits_from(
 
 
 def _with_better_shape(trials: list[Fit], trial: Fit) -> list[Fit]:
-    """Add a trial; of trials with the same effect at the same site, keep only the one with the lowest cost."""
+    """Add a trial; of trials with the same effect at the same site, keep the one with the lowest cost."""
     label = trial.machine.effects[-1].label
     others = [t for t in trials if t.machine.effects[-1].label != label]
     same = [t for t in trials if t.machine.effects[-1].label == label]
@@ -177,21 +183,21 @@ def _with_better_shape(trials: list[Fit], trial: Fit) -> list[Fit]:
 def structural_trial_fits(
     current: Fit, trials: list[Fit], data: Dataset, enough: float, criteria: SelectionCriteria
 ) -> list[Fit]:
-    """Fit the machine with each of the most promising effects that replace a part of the model, one at a time.
+    """Fit the machine with each of the best effects that replace a part of the model, one at a time.
 
-    These effects add coordinates (structural effects) or replace dry friction. Their trials take longer than those of
-    other effects, because each needs newly compiled simulation code.
+    These effects add coordinates (structural effects) or replace dry friction. Their trials take longer than
+    those of other effects, because each needs newly compiled simulation code.
 
     Args:
         current: Fit without candidates; the trials have its observer bandwidth.
-        trials: Trials with other effects. If the best one reduces chi-squared by `enough`, only candidates with a
-            linearized reduction of at least `enough`, and of at least 10 % of the best one's
+        trials: Trials with other effects. If the best one reduces chi-squared by `enough`, only candidates
+            with a linearized reduction of at least `enough`, and of at least 10 % of the best one's
             (`criteria.min_structural_promise`), are fitted.
         enough: Reduction of chi-squared per sample that the search requires, dimensionless.
 
     Returns:
-        One fit per effect and component, after few iterations, the best one of its starting values: machine, k
-        parameters (theta, dimensionless, shape (k,)) and cost (chi-squared).
+        One fit per effect and component, after few iterations, the best one of its starting values: machine,
+        k parameters (theta, dimensionless, shape (k,)) and cost (chi-squared).
     """
     scales = typical_scales(current, data)
     useful = max((current.cost - t.cost for t in trials), default=0.0) / data.count
@@ -216,10 +222,10 @@ def indistinguishable(screened: ScreenedFit, label: str, largest_loss: float) ->
 
     Args:
         screened: Fit of the machine with all effects, and its candidates.
-        label: Label of one of the effects. There is no answer for an effect that adds coordinates or replaces dry
-            friction, or that another effect requires.
-        largest_loss: Increase of chi-squared, dimensionless, to first order, up to which the runs do not distinguish
-            effects.
+        label: Label of one of the effects. There is no answer for an effect that adds coordinates or replaces
+            dry friction, or that another effect requires.
+        largest_loss: Increase of chi-squared, dimensionless, to first order, up to which the runs do not
+            distinguish effects.
 
     Returns:
         Other effects with the parameters that resemble it most, at most three, the most similar one first.
@@ -237,7 +243,7 @@ def indistinguishable(screened: ScreenedFit, label: str, largest_loss: float) ->
 
 
 def _periodic_resemblances(screening: Screening, label: str) -> list[Resemblance]:
-    """Return the periodic effects that resemble an effect, with the periods that the motion shows without it."""
+    """Return the periodic effects that resemble an effect, with the periods of the motion without it."""
     fitted, data = screening.fit, screening.data
     effects = {e.label: e for e in fitted.machine.effects}
     effect = effects.pop(label)
@@ -273,10 +279,10 @@ def replacement_fit(
         criteria: Decision threshold `linear_gain_ratio`.
 
     Returns:
-        Fit without the effect, and the converged fit with the other one: machine, k parameters (theta, dimensionless,
-        shape (k,)) and cost (chi-squared), which may be higher than that of `current`: the caller compares them. None
-        if no other effect promises (linearized) at least the fraction `linear_gain_ratio` of what the effect reduces
-        the cost by, or if the effect cannot be removed.
+        Fit without the effect, and the converged fit with the other one: machine, k parameters (theta,
+        dimensionless, shape (k,)) and cost (chi-squared), which may be higher than that of `current`: the
+        caller compares them. None if no other effect promises (linearized) at least the fraction
+        `linear_gain_ratio` of what the effect reduces the cost by, or if the effect cannot be removed.
     """
     if label not in screened.screening.removable:
         return None
@@ -302,13 +308,14 @@ def fit_in_place_of(
         goal: Cost, dimensionless, above which the fit is of no use (`fit`).
 
     Returns:
-        Fit: machine, k parameters (theta, dimensionless, shape (k,)) and cost (chi-squared; infinite if the machine
-        diverges), with the observer bandwidth of `current`.
+        Fit: machine, k parameters (theta, dimensionless, shape (k,)) and cost (chi-squared; infinite if the
+        machine diverges), with the observer bandwidth of `current`.
     """
     remaining = tuple(e for e in current.machine.effects if e.label != label)
     machine = current.machine.replace(effects=remaining, uncertainty=None).with_effects(rival)
     kept = [f for f in current.free if f.name in machine.parameters and not f.name.startswith(f"{label}.")]
-    # The fit continues from the parameters of the other effects; the rival's start at their given values (theta = 0).
+    # The fit continues from the parameters of the other effects; the rival's start at their given values
+    # (theta = 0).
     kept_theta = [t for f, t in zip(current.free, current.theta, strict=True) if f in kept]
     names, scales, step = (
         {f.name for f in kept},
@@ -324,11 +331,12 @@ def fit_in_place_of(
 def _promising(
     current: Fit, ranked: list[ScoredCandidate], data: Dataset, enough: float, criteria: SelectionCriteria
 ) -> list[ScoredCandidate]:
-    """Return the few best candidates that may reduce the cost by enough, up to two shapes of each effect and site.
+    """Return the few best candidates that may reduce the cost enough, up to two shapes per effect and site.
 
-    A shape is a set of starting values, such as a period. Two are fitted, because a fit does not move from one period
-    to another, and linearization may rank a wrong one first. They differ in more than a threshold, which a fit finds.
-    Candidates with clearly less force than what remains unexplained are left out before anything is fitted.
+    A shape is a set of starting values, such as a period. Two are fitted, because a fit does not move from
+    one period to another, and linearization may rank a wrong one first. They differ in more than a threshold,
+    which a fit finds. Candidates with clearly less force than what remains unexplained are left out before
+    anything is fitted.
     """
     best: dict[str, list[ScoredCandidate]] = {}
     least = judge.least_promise(enough, data.count, ranked[0].gain if ranked else 0.0, criteria)
@@ -376,8 +384,8 @@ def fit_with_candidate(
 def _other_threshold(fitted: Fit, j: int, data: Dataset) -> Array | None:
     """Return theta with another threshold j if that promises a lower cost; None if none does.
 
-    From a wrong threshold, other parameters may imitate what the right one does. What they may make up for at each of
-    some thresholds is therefore left out, to first order.
+    From a wrong threshold, other parameters may imitate what the right one does. What they may make up for at
+    each of some thresholds is therefore left out, to first order.
     """
     if not math.isfinite(fitted.cost):
         return None
@@ -409,8 +417,9 @@ def _other_threshold(fitted: Fit, j: int, data: Dataset) -> Array | None:
 def _replace(current: Fit, machine: Machine, scales: TypicalScales, data: Dataset, goal: float) -> Fit:
     """Fit a machine in which an effect replaces a part of the model, with default free parameters.
 
-    For a structural effect, the fit starts from the declared parameters, because parameters that were fitted without
-    the effect compensate for it. With a narrower observer, the present parameters are accurate enough.
+    For a structural effect, the fit starts from the declared parameters, because parameters that were fitted
+    without the effect compensate for it. With a narrower observer, the present parameters are accurate
+    enough.
     """
     effect = machine.effects[-1]
     if (effect.definition.structure or effect.definition.tension) and current.bandwidth >= SEARCH_BANDWIDTH:
@@ -446,8 +455,8 @@ def fit_with_effects(current: Fit, effects: Sequence[AppliedEffect], data: Datas
 def start_with_effects(current: Fit, effects: Sequence[AppliedEffect]) -> Machine:
     """Return the machine from which a fit with more effects starts.
 
-    With a structural effect, that has the declared parameters. Those that are not free with the effect, such as the
-    length of a belt that it divides, would keep the values that compensated for it.
+    With a structural effect, that has the declared parameters. Those that are not free with the effect, such
+    as the length of a belt that it divides, would keep the values that compensated for it.
 
     Args:
         current: Fit without the effects.
@@ -485,9 +494,10 @@ def converge(trial: Fit, data: Dataset, *, thorough: bool) -> Fit:
 
     Args:
         trial: Fit with a candidate effect, not fully converged.
-        thorough: Whether to fit a second time, from the declared parameters of the machine and the present parameters
-            of its effects, and to return the better fit. Otherwise the fit may end in a local minimum, because the
-            parameters of the trial were first fitted without the effect and compensate for it.
+        thorough: Whether to fit a second time, from the declared parameters of the machine and the present
+            parameters of its effects, and to return the better fit. Otherwise the fit may end in a local
+            minimum, because the parameters of the trial were first fitted without the effect and compensate
+            for it.
     """
     reset = dataclasses.replace(trial, theta=_declared_theta(trial))
     continued = continue_fit(trial, data, trial.bandwidth)
@@ -502,10 +512,12 @@ def machine_without(machine: Machine, label: str, refitted: Machine) -> Machine 
 
     Args:
         label: Label of the effect: its name and the component on which it acts, such as "cogging@motor1".
-        refitted: Machine before effects were added. It is used only if the effect is structural (adds coordinates).
+        refitted: Machine before effects were added. It is used only if the effect is structural (adds
+            coordinates).
 
     Returns:
-        Copy of the machine; None if another effect requires the effect or acts on a coordinate that the effect adds.
+        Copy of the machine; None if another effect requires the effect or acts on a coordinate that the
+        effect adds.
     """
     if is_required(machine, label):
         return None
@@ -529,8 +541,10 @@ def without_effect(
     Args:
         current: Fit of the machine with the effect; the new one has the same observer bandwidth.
         label: Label of the effect: its name and the component on which it acts, such as "cogging@motor1".
-        refitted: Machine before effects were added. It is used only if the effect is structural (adds coordinates).
-        thorough: Whether to fit until convergence with the shortest integration step, rather than with few iterations.
+        refitted: Machine before effects were added. It is used only if the effect is structural (adds
+            coordinates).
+        thorough: Whether to fit until convergence with the shortest integration step, rather than with few
+            iterations.
 
     Returns:
         The fit; None if another effect requires the effect or acts on a coordinate that the effect adds.

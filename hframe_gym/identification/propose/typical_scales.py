@@ -1,4 +1,4 @@
-"""Typical sizes of the forces, speeds and travels of a machine, by which starting values of effects are multiplied."""
+"""Typical forces, speeds and travels of a machine, by which effects' start values are multiplied."""
 
 from __future__ import annotations
 
@@ -23,14 +23,15 @@ SESSION = "session"  # key of the duration of all runs together, s, in `TypicalS
 class TypicalScales:
     """Typical sizes of physical quantities on a machine during its recordings.
 
-    The keys are the units that effect parameters declare; `scales_of_motion` documents how the sizes are computed.
+    The keys are the units that effect parameters declare; `scales_of_motion` documents how the sizes are
+    computed.
 
     Attributes:
-        by_coordinate: Sizes by coordinate and by key, in N, m/s and m or in Nm, rad/s and rad: "mass", "force",
-            "speed", "position", "viscous", "drag", "stiffness"; with a drive, also "voltage" (V), "A" (its current,
-            A), "1/A^2", "1/W".
-        general: Sizes of the belts, by key: "m" (extension, m), "N" (force, N), "1/m^2" (1 / extension^2). "session":
-            duration of all runs together, s.
+        by_coordinate: Sizes by coordinate and by key, in N, m/s and m or in Nm, rad/s and rad: "mass",
+            "force", "speed", "position", "viscous", "drag", "stiffness"; with a drive, also "voltage" (V),
+            "A" (its current, A), "1/A^2", "1/W".
+        general: Sizes of the belts, by key: "m" (extension, m), "N" (force, N), "1/m^2" (1 / extension^2).
+            "session": duration of all runs together, s.
     """
 
     by_coordinate: Mapping[str, Mapping[str, float]]
@@ -43,9 +44,9 @@ class TypicalScales:
             coordinate: Name of the coordinate; any other text, such as "", gives the general sizes only.
 
         Returns:
-            Typical size, SI, by key: "mass", "force", "speed", "position", "viscous" (force / speed), "drag" (force /
-            speed^2), "stiffness" (force / position), "voltage", "A" (current). Belts: "m" (extension), "N" (force),
-            "1/m^2".
+            Typical size, SI, by key: "mass", "force", "speed", "position", "viscous" (force / speed), "drag"
+            (force / speed^2), "stiffness" (force / position), "voltage", "A" (current). Belts: "m"
+            (extension), "N" (force), "1/m^2".
         """
         return {**self.general, **self.by_coordinate.get(coordinate, {})}
 
@@ -53,11 +54,11 @@ class TypicalScales:
 def scales_of_motion(
     machine: Machine, positions: Array, velocities: Array, inputs: Sequence[Array]
 ) -> TypicalScales:
-    """Compute typical sizes of forces, speeds, positions, voltages, currents and belt extensions from a motion.
+    """Compute typical forces, speeds, positions, voltages, currents and belt extensions from a motion.
 
-    Starting values of effect parameters are multiples of these sizes. The sizes of motions, voltages and currents are
-    at least 1e-9, even for an axis that never moves. Effects on such an axis get meaningless starting values, but as
-    they change no prediction, the screening drops them.
+    Starting values of effect parameters are multiples of these sizes. The sizes of motions, voltages and
+    currents are at least 1e-9, even for an axis that never moves. Effects on such an axis get meaningless
+    starting values, but as they change no prediction, the screening drops them.
 
     Args:
         positions: Positions over all rows of all runs, m or rad, shape (n, coordinates).
@@ -72,11 +73,12 @@ def scales_of_motion(
             - "speed": 99th percentile of its magnitude. "position": largest minus smallest position.
             - "viscous": force / speed. "drag": force / speed^2. "stiffness": force / position.
             - With a drive, "voltage": largest magnitude of its voltage, V.
-            - With a drive, "A": largest magnitude of its current, A, which is (voltage - back-EMF) / resistance.
-              "1/A^2": 1 / this size squared; "1/W": 1 / (current * voltage).
+            - With a drive, "A": largest magnitude of its current, A, which is (voltage - back-EMF) /
+              resistance. "1/A^2": 1 / this size squared; "1/W": 1 / (current * voltage).
         general: Empty without belts; with belts, sizes by key:
 
-            - "m": 99th percentile of the magnitude of the belts' extensions, m. "1/m^2": 1 / this size squared.
+            - "m": 99th percentile of the magnitude of the belts' extensions, m. "1/m^2": 1 / this size
+              squared.
             - "N": largest magnitude of a belt's force, N, which is extension * EA / rest length.
     """
     force = typical_force(machine)
@@ -111,13 +113,14 @@ def scales_of_motion(
 
 
 def typical_scales(current: Fit, data: Dataset) -> TypicalScales:
-    """Compute typical forces, speeds and travels of a machine, by which starting values of effects are multiplied.
+    """Compute typical forces, speeds and travels of a machine, which multiply starting values of effects.
 
     Args:
         current: Fit of the machine, which predicts the motion.
 
     Returns:
-        Sizes by coordinate, such as "force" (N, Nm), and of belts, such as "m" (m); `scales_of_motion` lists all.
+        Sizes by coordinate, such as "force" (N, Nm), and of belts, such as "m" (m); `scales_of_motion` lists
+        all.
     """
     motions = list(
         map_runs(

@@ -44,8 +44,8 @@ def answers(
         step: The first of the next steps, in words.
 
     Returns:
-        Sentences by question, in the order of the page: what is wrong, how sure that is, how much is left, on which
-        run, and what to do now.
+        Sentences by question, in the order of the page: what is wrong, how sure that is, how much is left, on
+        which run, and what to do now.
     """
     report = saved.report
     return {
@@ -86,7 +86,7 @@ def _changes(saved: SavedResult) -> list[str]:
 
 
 def _certainty(saved: SavedResult, effects: Sequence[EffectRow]) -> list[str]:
-    """Return how sure the verdict is: what the held-out runs say, what else explains them, what is uncertain."""
+    """Say how sure the verdict is: what the held-out runs say, what else explains them, what is uncertain."""
     report = saved.report
     if report.verdict == "unexplained":
         why = report.reason or "no effect of the library passes the tests on the fitted and the held-out runs"
@@ -159,7 +159,7 @@ def _left(report: Report) -> list[str]:
 
 
 def _left_at_belts(saved: SavedResult) -> list[str]:
-    """Return the error of a machine without linear sensors as a distance: that of its pulleys' circumference."""
+    """Return the error of a machine without linear sensors as a distance on its pulleys' circumference."""
     machine, errors = saved.machine, saved.report.after.channels
     if not machine.belts or any(sensor.channel.endswith("_m") for sensor in machine.sensors):
         return []
@@ -178,7 +178,7 @@ def _left_at_belts(saved: SavedResult) -> list[str]:
 
 
 def _worst_run(saved: SavedResult, runs: Sequence[str]) -> list[str]:
-    """Return the held-out run with the largest error, with the channel and the time of its largest deviation."""
+    """Return the held-out run of largest error, with the channel and the time of its largest deviation."""
     report, curves = saved.report, saved.curves
     ratios, run = {name: run_ratio(report, curves, name) for name in runs}, runs[0]
     if (worst := ratios[run]) is None:
@@ -195,7 +195,7 @@ def _worst_run(saved: SavedResult, runs: Sequence[str]) -> list[str]:
 
 
 def _largest_deviation(report: Report, run: RunCurves) -> str:
-    """Return a clause about the largest deviation, of the channel that deviates most in multiples of its noise."""
+    """Return a clause about the largest deviation, of the channel that deviates most, relative to noise."""
     time_s, errors = run.time_s, np.abs(np.nan_to_num(run.errors["after"]))
     sizes = [
         float(errors[:, j].max()) / noise if (noise := report.noise_of(channel)) else 0.0

@@ -1,4 +1,4 @@
-"""Collect the result of an identification: machines, effects, gains, causes of what is left, next experiment."""
+"""Collect the result of an identification: machines, effects, gains, causes of the rest, next experiment."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ def build_result(
         delivered: The outcome with its machines and their errors.
         found: Outcome of the search, with the held-out runs that contradict the fitted ones.
         remarks: What the user should know about the runs, one sentence each.
-        differences: What differs between the runs. If that explains their error, no variable is listed on which the
-            missing force depends: it would only follow what differs.
+        differences: What differs between the runs. If that explains their error, no variable is listed on
+            which the missing force depends: it would only follow what differs.
         budget: Budget of the identification.
         unstable: Whether an unstable motion is the cause of the simulation error that is left.
     """
@@ -130,7 +130,8 @@ def _unknown_voltages(machine: Machine, held_out: Dataset, fitted: Fit) -> Unkno
 def _hint(result: IdentificationResult) -> Hint | None:
     """Return where the missing force acts and on what it depends, and the nearest effects, if none is named.
 
-    If single sensors deviate although others would show an error of the motion, the first of them is the component.
+    If single sensors deviate although others would show an error of the motion, the first of them is the
+    component.
     """
     if result.verdict != "unexplained" or not result.dependence:
         return None
@@ -159,6 +160,6 @@ def _rejected(entry: ConsideredEffect, data: Dataset, held_out: Dataset, bandwid
 def _unexcited_effects(
     selected: Sequence[SelectedEffect], machine: Machine, held_out: Dataset, bandwidth: float
 ) -> tuple[str, ...]:
-    """Return a sentence about the effects on which the held-out runs do not depend; only fitted runs confirm them."""
+    """Return a sentence about the effects on which held-out runs do not depend: fitted ones confirm them."""
     effects = [s.effect.label for s in selected if not is_excited(s, machine, held_out, bandwidth)]
     return (_UNEXCITED.format(", ".join(effects)),) if effects else ()

@@ -1,7 +1,8 @@
 """Correlations of the simulation error of a run: with itself at a later time, and with the inputs.
 
-An error that is only noise is correlated with neither. An autocorrelation shows that something systematic is left; a
-correlation with an input that comes before the error shows that the machine responds otherwise than its model.
+An error that is only noise is correlated with neither. An autocorrelation shows that something systematic is
+left; a correlation with an input that comes before the error shows that the machine responds otherwise than
+its model.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ def correlation(first: Array, second: Array, lags: int) -> Array:
         lags: Largest lag, in samples.
 
     Returns:
-        Correlation coefficients at the lags 0 to `lags`, dimensionless, shape (lags + 1,); 0 if a signal is constant.
-        Of independent signals, of which one is white, 99 % are within 2.576 / sqrt(n).
+        Correlation coefficients at the lags 0 to `lags`, dimensionless, shape (lags + 1,); 0 if a signal is
+        constant. Of independent signals, of which one is white, 99 % are within 2.576 / sqrt(n).
     """
     a, b = (np.nan_to_num(values - np.nanmean(values)) for values in (first, second))
     size = float(np.sqrt(np.sum(a**2) * np.sum(b**2)))
@@ -48,7 +49,8 @@ class ErrorCorrelations(NamedTuple):
         run: Name of the run.
         channel: Name of the output channel.
         lag_s: Time by which the error is later, s, shape (k,).
-        values: Correlation coefficients with "itself" and with each input by its name, dimensionless, shape (k,).
+        values: Correlation coefficients with "itself" and with each input by its name, dimensionless,
+            shape (k,).
         limit: Magnitude below which 99 % of the coefficients of white noise are.
     """
 
@@ -93,7 +95,8 @@ def error_correlations(
         inputs: Names of the input channels.
 
     Returns:
-        Correlations of each channel; none for a channel with less than 50 measurements, or if the result has no inputs.
+        Correlations of each channel; none for a channel with less than 50 measurements, or if the result has
+        no inputs.
     """
     run = curves.runs[name]
     if run.inputs is None:

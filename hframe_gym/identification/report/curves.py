@@ -1,7 +1,8 @@
 """Curves of the held-out runs for the page: measurements, simulations and their errors, the worst run first.
 
-The page draws them by a script of its own (`templates/curves.js`), because a reader zooms into them. Libraries for such
-plots have a megabyte or more, draw into a bitmap without text, and take no colors from the style sheet.
+The page draws them by a script of its own (`templates/curves.js`), because a reader zooms into them.
+Libraries for such plots have a megabyte or more, draw into a bitmap without text, and take no colors from the
+style sheet.
 """
 
 from __future__ import annotations
@@ -40,14 +41,15 @@ def run_ratio(
     run: str,
     stage: str = "after",
 ) -> float | None:
-    """Return the simulation error of a held-out run over the sensors' noise, root mean square over the channels.
+    """Return a held-out run's simulation error over the sensors' noise, root mean square over the channels.
 
     Args:
         run: Name of the run.
         stage: Machine: "declared", "before", "after" or "plain".
 
     Returns:
-        The ratio, dimensionless; infinite if the simulation diverges on the run, None if nothing was measured.
+        The ratio, dimensionless; infinite if the simulation diverges on the run, None if nothing was
+        measured.
     """
     measured, errors = curves.runs[run].measured, curves.runs[run].errors[stage]
     squares = []
@@ -71,16 +73,17 @@ def worst_first(report: Report, curves: ResultCurves) -> list[str]:
 def page_curves(report: Report, curves: ResultCurves) -> dict[str, Any]:
     """Return what the script of the page draws, as content of a JSON document.
 
-    Every run and channel has one set of rows for all its curves: the first of each interval of time, and those with the
-    smallest and the largest error of the refitted and of the corrected machine, so that no peak is lost. The number of
-    intervals is such that all curves together have at most 1.5 MB, if each keeps 200 rows.
+    Every run and channel has one set of rows for all its curves: the first of each interval of time, and
+    those with the smallest and the largest error of the refitted and of the corrected machine, so that no
+    peak is lost. The number of intervals is such that all curves together have at most 1.5 MB, if each keeps
+    200 rows.
 
     Returns:
-        "machines": "key", "label" and "color" of each machine, and whether it is "shown" at first. "runs": worst first,
-        each with "name", "label" and "channels". A channel has "name", "quantity", the units and factors of values and
-        errors, "noise" (standard deviation, in the unit of the errors) and its curves as base64 text of 32-bit floats,
-        little-endian: "time" (s since the start of the run), "measured" and "errors" (measured minus simulated) by
-        machine.
+        "machines": "key", "label" and "color" of each machine, and whether it is "shown" at first. "runs":
+        worst first, each with "name", "label" and "channels". A channel has "name", "quantity", the units and
+        factors of values and errors, "noise" (standard deviation, in the unit of the errors) and its curves
+        as base64 text of 32-bit floats, little-endian: "time" (s since the start of the run), "measured" and
+        "errors" (measured minus simulated) by machine.
     """
     machines = _drawn_machines(report, curves)
     runs = worst_first(report, curves)
@@ -108,7 +111,7 @@ def page_curves(report: Report, curves: ResultCurves) -> dict[str, Any]:
 
 
 def _far(report: Report, curves: ResultCurves, run: str) -> set[str]:
-    """Return the machines beside whose errors on a run, the worst one, those of the others would look like zero."""
+    """Return the machines beside whose errors on the worst run those of the others look like zero."""
     ratios = {key: run_ratio(report, curves, run, key) for key in _drawn_machines(report, curves)}
     limit = _FAR * (ratios["before"] or math.inf)
     return {key for key in ("declared", "plain") if (ratios.get(key) or 0.0) > limit}

@@ -1,6 +1,7 @@
 """What report.json contains: the one declaration by which it is written and read.
 
-Fields with a default are missing in results of older versions. Text is for the user; labels are name@component.
+Fields with a default are missing in results of older versions. Text is for the user; labels are
+name@component.
 """
 
 from __future__ import annotations
@@ -41,16 +42,16 @@ class UnfinishedSearch(ReportPart):
 
 
 class UnknownVoltages(ReportPart):
-    """Voltages between the rows of a log that is slower than its controller, and what they do to a simulation.
+    """Voltages between the rows of a log that is slower than its controller, and their effect in simulation.
 
     Attributes:
         commands: What changes between the rows, as `Machine.commands_in_words` says.
         changes_per_row: How many times the controller changes them from one row to the next.
         period_s: Time from one change to the next, s.
-        errors: Root mean square error of a simulation of the held-out runs that this alone causes, by channel, in the
-            channel's unit.
-        fitted_by: What gave the parameters of the delivered machine: instruments (`fit.slow_logs`), or the residual
-            that the statistics of the voltages make white.
+        errors: Root mean square error of a simulation of the held-out runs that this alone causes, by
+            channel, in the channel's unit.
+        fitted_by: What gave the parameters of the delivered machine: instruments (`fit.slow_logs`), or the
+            residual that the statistics of the voltages make white.
     """
 
     commands: str = "voltages"
@@ -79,8 +80,8 @@ class Evaluation(ReportPart):
     """Errors of a machine on the held-out runs: by channel, and `force_error` where the machine has one.
 
     Attributes:
-        missing_force_percent: Force that the machine lacks, of that of the drives, rms; None if it is not known, or if
-            the commands of the drives tell no force, as set points.
+        missing_force_percent: Force that the machine lacks, of that of the drives, rms; None if it is not
+            known, or if the commands of the drives tell no force, as set points.
         missing_force: The same in N or Nm.
     """
 
@@ -95,13 +96,13 @@ class Evaluation(ReportPart):
 
     @property
     def force_error(self) -> float | None:
-        """Error of the drives' force by inverse dynamics over that force, rms, dimensionless; None if there is none."""
+        """Error of the drives' force by inverse dynamics over that force, rms, dimensionless, or None."""
         error = self.held_out.get("force_error")
         return None if isinstance(error, ChannelErrors) else error
 
     @property
     def noise_ratio(self) -> float | None:
-        """Error in multiples of the noise, rms over the channels as `Report.left`; None if the machine diverges."""
+        """Error in multiples of the noise, rms of channels as `Report.left`; None if the machine diverges."""
         ratios = [error.noise_ratio for error in self.channels.values() if error.noise_ratio is not None]
         return math.sqrt(sum(ratio**2 for ratio in ratios) / len(ratios)) if ratios else None
 
@@ -155,7 +156,7 @@ class Dependence(ReportPart):
 
 
 class Residual(ReportPart):
-    """What the residual depends on, strongest first, whether it is noise, and the sensors that deviate alone."""
+    """What the residual depends on, strongest first, whether it is noise, and sensors deviating alone."""
 
     depends_on: list[Dependence]
     white: bool
@@ -190,7 +191,7 @@ class Considered(ReportPart):
 
 
 class DeterminedSum(ReportPart):
-    """Weighted sum of parameters that the data determine, in the unit of its first parameter, whose weight is 1."""
+    """Weighted sum of parameters that the data determine, in the unit of its first, whose weight is 1."""
 
     weights: dict[str, FiniteFloat]
     value: FiniteFloat
@@ -205,7 +206,7 @@ class NotSeparable(ReportPart):
 
 
 class UndeclaredFriction(ReportPart):
-    """Friction that the machine file does not declare; its share of the drives' force if it is dry friction."""
+    """Friction that the machine file does not declare; its share of drive force if it is dry friction."""
 
     parameter: str
     value: FiniteFloat
@@ -231,7 +232,8 @@ class Formula(ReportPart):
         formula: The equation as text.
         parameters: Values by name, SI.
         complexity: Number of parameters.
-        curve_error: rms error at values of the table that were left out of the fit, in their standard deviations.
+        curve_error: rms error at values of the table that were left out of the fit, in their standard
+            deviations.
         fitted: rms error of the machine with it on the fitted runs, in units of the sensors' noise.
         held_out: The same on the held-out runs, by channel.
         recommended: Whether it is the recommended one.
@@ -282,7 +284,8 @@ class Report(ReportPart):
         explained: Fraction of the squared error of the held-out runs beyond noise that the effects remove.
         left: Simulation error / noise that remains on the held-out runs.
         left_in_others: The same on those that do not contradict the fitted runs (`contradicting`).
-        unstable: Whether an unstable motion is the cause of `left`: predictions are those of an exact machine.
+        unstable: Whether an unstable motion is the cause of `left`: predictions are those of an exact
+            machine.
         seconds: Duration of the identification, s.
         warnings: What limits the result, and findings about the recordings, one sentence each.
     """
@@ -327,7 +330,7 @@ class Report(ReportPart):
         return list(self.declared.channels)
 
     def noise_of(self, channel: str) -> float | None:
-        """Return the standard deviation of a sensor's noise, in the unit of its channel; None if it is not known.
+        """Return the standard deviation of a sensor's noise, in the unit of its channel; None if unknown.
 
         It is not known if every machine diverges.
         """
@@ -342,8 +345,8 @@ def compared_machines(report: Report) -> dict[str, str]:
     """Return the machines that the report compares, with their labels, in the order in which they are shown.
 
     Returns:
-        Labels by key of the machine: "declared"; "plain", if there is a plain fit; "before", the refitted machine; and
-        "after", the machine that is delivered, if it is not the refitted one.
+        Labels by key of the machine: "declared"; "plain", if there is a plain fit; "before", the refitted
+        machine; and "after", the machine that is delivered, if it is not the refitted one.
     """
     labels = {"declared": "as declared", "plain": "plain fit", "before": "refitted"}
     if not report.plain:

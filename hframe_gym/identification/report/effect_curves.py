@@ -1,4 +1,4 @@
-"""Curves of the effects over their own variable, with the band that follows from their parameters' covariance."""
+"""Curves of the effects over their own variable, with the band of their parameters' covariance."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ class EffectCurve:
         quantity: Name of what is drawn with its unit, for example "friction on x, N".
         x: Values of the variable, SI, shape (n,).
         y: Values of the curve, SI, shape (n,).
-        std: Standard deviation of the curve, as far as it follows from that of the parameters, SI, shape (n,).
+        std: Standard deviation of the curve, as far as it follows from that of the parameters, SI,
+            shape (n,).
     """
 
     effect: AppliedEffect
@@ -69,16 +70,17 @@ class EffectCurve:
 def effect_curve(effect: AppliedEffect, machine: Machine, curves: ResultCurves) -> EffectCurve | None:
     """Compute the curve of an effect over its own variable, in the range of the fitted runs.
 
-    Drawn are the dry friction of a coordinate with the effect's change of it, the force of the effect, or its change of
-    a voltage.
+    Drawn are the dry friction of a coordinate with the effect's change of it, the force of the effect, or its
+    change of a voltage.
 
     Args:
         effect: Effect of the identified machine.
         machine: The machine, with its uncertainty where it is known.
 
     Returns:
-        The curve with n values each, shape (n,). None if the effect is no function of one variable (it has a state or
-        adds coordinates), it is a table, which has its own plot, or the range of its variable is not known.
+        The curve with n values each, shape (n,). None if the effect is no function of one variable (it has a
+        state or adds coordinates), it is a table, which has its own plot, or the range of its variable is not
+        known.
     """
     definition, names = effect.definition, set(effect.parameters)
     if definition.family == TABLE_FAMILY or definition.structure or definition.next_state:
@@ -126,7 +128,7 @@ def _axis(
     coordinate: Coordinate | None,
     curves: ResultCurves,
 ) -> tuple[Array, str] | None:
-    """Return the values of a variable at which an effect is drawn, and the name of the variable with its unit."""
+    """Return a variable's values at which an effect is drawn, and its name with the unit."""
     if symbol == "V":
         return _command_axis(effect, machine, curves)
     if coordinate is None:
@@ -155,7 +157,7 @@ def _time_axis(curves: ResultCurves) -> tuple[Array, str] | None:
 def _velocity_axis(
     effect: AppliedEffect, coordinate: Coordinate, curves: ResultCurves
 ) -> tuple[Array, str] | None:
-    """Return velocities up to that of the fitted runs, or to where a speed that a parameter states is small."""
+    """Return velocities up to that of the fitted runs, or to where a parameter's speed is small."""
     seen = curves.coverage.get(f"velocity of {coordinate.name}")
     top = math.inf if seen is None else float(np.abs(seen).max())
     speeds = [abs(effect.parameters[p.name]) for p in effect.definition.parameters if p.unit == "speed"]
@@ -166,7 +168,7 @@ def _velocity_axis(
 def _position_axis(
     effect: AppliedEffect, coordinate: Coordinate, curves: ResultCurves
 ) -> tuple[Array, str] | None:
-    """Return the positions of the fitted runs, one turn where these are not known, or some periods of the effect."""
+    """Return positions of the fitted runs, one turn if these are unknown, or some periods of the effect."""
     seen = curves.coverage.get(f"position of {coordinate.name}")
     if seen is None and coordinate.kind != "rotary":
         return None
@@ -196,7 +198,7 @@ def _symmetric(top: float, label: str) -> tuple[Array, str] | None:
 def _value(
     hook: str, symbol: str, x: Array, effect: AppliedEffect, coordinate: Coordinate | None
 ) -> tuple[Callable[[Machine], Array], str]:
-    """Return the function from a machine with the effect to the curve over `x`, and its name with the unit."""
+    """Return the function from a machine with the effect to its curve over `x`, its name and unit."""
 
     def of(machine: Machine) -> AppliedEffect:
         return next(e for e in machine.effects if e.label == effect.label)

@@ -1,4 +1,4 @@
-"""Means of the simulation error over position and speed, with the region that holds 99 % of those of white noise."""
+"""Means of the simulation error over position and speed, with the region of 99 % of white noise."""
 
 from __future__ import annotations
 
@@ -18,14 +18,16 @@ from .units import readable_unit
 
 _BINS = 40  # intervals of position or speed, of equal width
 _MIN_ROWS = 20  # of an interval, so that its mean has a normal distribution whatever the noise is
-# s, over which a position is averaged before its speed is computed: noise of 20 um becomes about 1 mm/s at 1 kHz.
+# s, over which a position is averaged before its speed is computed: noise of 20 um becomes about 1 mm/s at
+# 1 kHz.
 _SMOOTHED_S = 0.02
 
 
 def error_panels(report: Report, curves: ResultCurves, machine: Machine) -> list[Panel]:
     """Prepare a plot of the error of each channel over its own value, and of a position also over its speed.
 
-    Position and speed are measured, so that they do not depend on the machine that is judged. All held-out runs count.
+    Position and speed are measured, so that they do not depend on the machine that is judged. All held-out
+    runs count.
 
     Args:
         machine: Identified machine.

@@ -1,9 +1,10 @@
-"""Design the next experiment: voltages for which two machines that fit equally well predict different motions.
+"""Design the next experiment: voltages for which two machines that fit equally predict different motions.
 
-Many excitations are simulated with both machines: alternating steps, ramps through breakaway, staircases, sines, chirps
-and random steps, along every combination of the drives and at several amplitudes. Excitations that drive a machine out
-of its travel are discarded. The others are compared by the difference of the predictions that remains when the second
-machine's parameters adapt to the new run as far as their covariance allows (linearized optimal discrimination).
+Many excitations are simulated with both machines: alternating steps, ramps through breakaway, staircases,
+sines, chirps and random steps, along every combination of the drives and at several amplitudes. Excitations
+that drive a machine out of its travel are discarded. The others are compared by the difference of the
+predictions that remains when the second machine's parameters adapt to the new run as far as their covariance
+allows (linearized optimal discrimination).
 
 References:
     Atkinson and Fedorov (1975), "The design of experiments for discriminating between two rival models".
@@ -35,10 +36,11 @@ from ..predict.prediction import POLISH_STEP, SEARCH_STEP
 from ..propose.trial_fits import fit_in_place_of
 
 FILE = "next_experiment.csv"
-# Difference of the predictions, in standard deviations of the sensors' noise, below which no experiment is proposed.
+# Difference of the predictions, in standard deviations of the sensors' noise, below which no experiment is
+# proposed.
 MINIMUM_SIGMA = 10.0
-# Standard deviations above which the expected difference is stated as "clearly": the models are not as exact as a
-# larger number would promise, and where one of them is near instability the number grows without limit.
+# Standard deviations above which the expected difference is stated as "clearly": the models are not as exact
+# as a larger number would promise, and where one of them is near instability the number grows without limit.
 CLEAR_SIGMA = 100.0
 _DURATION_S, _REST_S = 3.0, 0.15  # of the run, and at rest at either end
 _AMPLITUDES = (0.05, 0.1, 0.2, 0.35, 0.6, 1.0)  # fractions of the rated voltage
@@ -56,8 +58,10 @@ class ExperimentDesign:
         separates: Labels (name@component) of the two effects between which the run decides.
         time_s: Sample times, s, shape (n,).
         inputs: Inputs of the drives, in their units, shape (n, drives); the run starts at rest at zero.
-        sigma: Root of the sum of squared differences of all predicted values, in standard deviations of the noise.
-        rms: Root mean square of the same differences per predicted value, in standard deviations of the noise.
+        sigma: Root of the sum of squared differences of all predicted values, in standard deviations of the
+            noise.
+        rms: Root mean square of the same differences per predicted value, in standard deviations of the
+            noise.
         channel: Output channel with the largest sum of squared differences.
     """
 
@@ -87,7 +91,7 @@ class ExperimentDesign:
         )
 
     def write(self, path: Path, machine: Machine) -> None:
-        """Write the sample times, s, and commands as a CSV file with the columns time_s and one per input channel.
+        """Write the sample times, s, and commands as a CSV file with columns time_s and one per channel.
 
         Args:
             path: File to write; it appears only when it is complete.
@@ -107,20 +111,22 @@ def design_discriminating_experiment(
 ) -> ExperimentDesign | None:
     """Design the run that decides between an identified effect and its best rival.
 
-    A rival is another effect that explains the same data equally well. Steps, sines and other voltages are simulated
-    with both machines. The run is the one on which their predictions differ most (`separate_machines`).
+    A rival is another effect that explains the same data equally well. Steps, sines and other voltages are
+    simulated with both machines. The run is the one on which their predictions differ most
+    (`separate_machines`).
 
     Args:
         current: Fit of the machine with all selected effects, among them the identified one.
         corrected: The same machine with the covariance of its parameters.
         label: Label (name@component) of the identified effect.
-        rivals: Rivals with fitted parameters, best first. Those that add coordinates (structural effects), those that
-            the machine already has, and those that no recording can distinguish are not considered.
+        rivals: Rivals with fitted parameters, best first. Those that add coordinates (structural effects),
+            those that the machine already has, and those that no recording can distinguish are not
+            considered.
 
     Returns:
-        Design of the run with its voltages, V, shape (n, drives). None if the identified effect is structural or no
-        effect of the fit (the range of a saturated sensor follows from the measurements), if no rival remains, if the
-        machine with the rival diverges, or if `separate_machines` finds no run.
+        Design of the run with its voltages, V, shape (n, drives). None if the identified effect is structural
+        or no effect of the fit (the range of a saturated sensor follows from the measurements), if no rival
+        remains, if the machine with the rival diverges, or if `separate_machines` finds no run.
     """
     present = {e.label: e for e in current.machine.effects}
     effect = present.get(label)
@@ -148,25 +154,27 @@ def separate_machines(
 ) -> ExperimentDesign | None:
     """Design the run on which the predictions of two machines differ most.
 
-    Steps, ramps, staircases, sines, chirps and random steps of voltage are simulated with both machines, at several
-    amplitudes. Runs that leave the permitted travel are discarded. The parameters of the second machine adapt to each
-    run within their uncertainty; only the difference that remains counts.
+    Steps, ramps, staircases, sines, chirps and random steps of voltage are simulated with both machines, at
+    several amplitudes. Runs that leave the permitted travel are discarded. The parameters of the second
+    machine adapt to each run within their uncertainty; only the difference that remains counts.
 
     Args:
         first: One machine.
-        second: The other machine, with its uncertainty. The machines may differ in their effects, but not in their
-            sensors and drives.
+        second: The other machine, with its uncertainty. The machines may differ in their effects, but not in
+            their sensors and drives.
         labels: Labels (name@component) of the effects that distinguish the first and the second machine.
-        data: Recordings that both were fitted to. They supply the sensors' noise, the sampling period and, for a
-            coordinate without a declared range, the permitted travel.
+        data: Recordings that both were fitted to. They supply the sensors' noise, the sampling period and,
+            for a coordinate without a declared range, the permitted travel.
 
     Returns:
-        Design of the run with the largest difference, with its voltages, V, shape (n, drives). None if there is no run
-        within the travel for which `ExperimentDesign.sigma`, the difference in standard deviations, reaches 10.
+        Design of the run with the largest difference, with its voltages, V, shape (n, drives). None if there
+        is no run within the travel for which `ExperimentDesign.sigma`, the difference in standard deviations,
+        reaches 10.
     """
     rows = round(_DURATION_S / data.period)
     time_s: Array = np.arange(rows, dtype=np.float64) * data.period
-    # The voltages with the largest differences are compared by the part that a refit of the second machine leaves.
+    # The voltages with the largest differences are compared by the part that a refit of the second machine
+    # leaves.
     finalists = [
         (inputs, difference)
         for inputs in _largest_differences(first, second, time_s, data)
@@ -190,7 +198,7 @@ def separate_machines(
 
 
 def _largest_differences(first: Machine, second: Machine, time_s: Array, data: Dataset) -> list[Array]:
-    """Return the inputs (n, drives) with the largest differences that keep both machines inside the travel."""
+    """Return the inputs (n, drives) with the largest differences that keep both machines in the travel."""
     waves = _excitations(time_s, len(first.drives))
     rated = np.array([d.rated_voltage for d in first.drives])
     low, high = _travel(first, data)
@@ -208,7 +216,7 @@ def _largest_differences(first: Machine, second: Machine, time_s: Array, data: D
 
 
 def _excitations(time_s: Array, drives: int) -> Array:
-    """Return excitations (batch, n, drives) in [-1, 1]: every form along every combination of drives up to sign."""
+    """Return excitations (batch, n, drives) in [-1, 1]: every form along all combinations of drives."""
     directions = [
         signs
         for signs in itertools.product((-1.0, 0.0, 1.0), repeat=drives)
@@ -246,7 +254,7 @@ def _random_steps(time_s: Array, hold: float, rng: np.random.Generator) -> Array
 
 
 def _travel(machine: Machine, data: Dataset) -> tuple[Array, Array]:
-    """Return lower and upper limits of all coordinates, shape (coordinates,) each, infinite where there is none.
+    """Return lower and upper limits of coordinates, (coordinates,) each, infinite where there is none.
 
     A coordinate without a declared range may move half of the recorded span to either side.
     """
@@ -276,7 +284,7 @@ def _stays_inside(motion: Motion, low: Array, high: Array) -> NDArray[np.bool_]:
 
 
 def _difference(first: Array, second: Array, data: Dataset) -> Array:
-    """Return the difference of predictions (batch, n, sensors) in units of the noise, shape (batch, n * sensors).
+    """Return prediction differences (batch, n, sensors) in units of noise, shape (batch, n * sensors).
 
     The part that the unknown zeros of the sensors absorb is removed.
     """
@@ -289,10 +297,10 @@ def _difference(first: Array, second: Array, data: Dataset) -> Array:
 def _unexplained_difference(
     first: Machine, second: Machine, time_s: Array, inputs: Array, data: Dataset
 ) -> Array | None:
-    """Return the difference (n * sensors,) that remains when the second machine's parameters adapt to the first.
+    """Return the difference (n * sensors,) that remains when the second machine's parameters adapt.
 
-    The parameters are linear combinations with unit prior variance, so the prior's precision is the identity. None if
-    a machine with slightly different parameters diverges.
+    The parameters are linear combinations with unit prior variance, so the prior's precision is the identity.
+    None if a machine with slightly different parameters diverges.
     """
     parameters, directions = _covariance_root(second)
     table = np.vstack([parameters, parameters + _DIFFERENCE_STEP * directions])
@@ -307,11 +315,11 @@ def _unexplained_difference(
 
 
 def after_adaptation(jacobian: Array, difference: Array) -> Array:
-    """Return what remains of the difference of two predictions if the parameters of one adapt within their covariance.
+    """Return what remains of two predictions' difference if one's parameters adapt in their covariance.
 
     Args:
-        jacobian: Change of the difference by one standard deviation in each direction of the covariance, dimensionless,
-            shape (k, values).
+        jacobian: Change of the difference by one standard deviation in each direction of the covariance,
+            dimensionless, shape (k, values).
         difference: Difference, dimensionless, shape (values,).
 
     Returns:

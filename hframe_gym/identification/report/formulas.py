@@ -1,15 +1,15 @@
 """Formulas that can take the place of a table in an identified machine.
 
-A table is an effect that interpolates a force or a friction level linearly between values at KNOTS positions, speeds or
-times (the knots). It shows what an unknown effect does, but not its cause. Sparse regression proposes formulas for the
-values of a table. To compare them, each formula in turn takes the place of the table, all parameters of the machine are
-fitted again to the fitted runs (the recordings that identification used), and the machine simulates the held-out runs
-(the recordings that it did not use).
+A table is an effect that interpolates a force or a friction level linearly between values at KNOTS positions,
+speeds or times (the knots). It shows what an unknown effect does, but not its cause. Sparse regression
+proposes formulas for the values of a table. To compare them, each formula in turn takes the place of the
+table, all parameters of the machine are fitted again to the fitted runs (the recordings that identification
+used), and the machine simulates the held-out runs (the recordings that it did not use).
 
-The recommended formula is the simplest one whose error is at most 1.1 times the smallest. This error is that of the
-machine on the fitted runs. A formula that was fitted only to the values of the table is judged by its error at knots
-that were left out of the fit, in standard deviations of the values, and all errors below one count as equal. The errors
-on the held-out runs are reported and select nothing.
+The recommended formula is the simplest one whose error is at most 1.1 times the smallest. This error is that
+of the machine on the fitted runs. A formula that was fitted only to the values of the table is judged by its
+error at knots that were left out of the fit, in standard deviations of the values, and all errors below one
+count as equal. The errors on the held-out runs are reported and select nothing.
 """
 
 from __future__ import annotations
@@ -49,10 +49,10 @@ class ProposedFormula:
 
     Attributes:
         effect: The formula as an effect named "proposed", with its fitted parameters.
-        fitted: Error of the machine with the formula on the fitted runs, in units of the sensor noise (root of
-            chi-squared per sample); None if the formula was fitted only to the values of the table.
-        held_out: Root-mean-square error of the simulated held-out runs by channel, in units of the sensor noise; empty
-            if the formula was fitted only to the values of the table.
+        fitted: Error of the machine with the formula on the fitted runs, in units of the sensor noise (root
+            of chi-squared per sample); None if the formula was fitted only to the values of the table.
+        held_out: Root-mean-square error of the simulated held-out runs by channel, in units of the sensor
+            noise; empty if the formula was fitted only to the values of the table.
         recommended: Whether it is the simplest formula whose error is at most 1.1 times the smallest one.
     """
 
@@ -63,7 +63,7 @@ class ProposedFormula:
 
     @property
     def mean_noise_ratio(self) -> float:
-        """Mean over the channels of rms error / sensor noise, dimensionless, on the held-out runs; NaN if unknown.
+        """Mean over the channels of rms error / sensor noise, dimensionless, on held-out runs, or NaN.
 
         `PredictionErrors.noise_ratio` is the root mean square over the channels instead.
         """
@@ -89,10 +89,11 @@ class ProposedFormula:
         """Create a formula from the entry that `as_entry` returned.
 
         Args:
-            entry: One of the `formulas` of `proposed_formulas` in report.json; its parameters are in the order of the
-                terms.
+            entry: One of the `formulas` of `proposed_formulas` in report.json; its parameters are in the
+                order of the terms.
             machine: Identified machine with the table.
-            table: Table (force or friction level interpolated over one variable) that the formula can replace.
+            table: Table (force or friction level interpolated over one variable) that the formula can
+                replace.
 
         Returns:
             The formula with its parameters and errors; its effect has a provisional name.
@@ -114,13 +115,14 @@ class ProposedFormula:
     def with_name(self, name: str, table_error: float) -> ProposedFormula:
         """Return a copy whose effect has a given name, and a note that states the accuracy of the formula.
 
-        The note becomes a paragraph in the file that defines the effect. It compares the error of the machine with the
-        formula to that with the table.
+        The note becomes a paragraph in the file that defines the effect. It compares the error of the machine
+        with the formula to that with the table.
 
         Args:
             name: Name of the effect, a Python identifier in lower case.
-            table_error: Error of the machine with the table on the held-out runs, dimensionless: mean over the channels
-                of rms error / sensor noise. Ignored if the formula was fitted only to the values of the table.
+            table_error: Error of the machine with the table on the held-out runs, dimensionless: mean over
+                the channels of rms error / sensor noise. Ignored if the formula was fitted only to the values
+                of the table.
 
         Returns:
             Copy with the name and the note; its parameters and errors are unchanged.
@@ -154,8 +156,8 @@ class TableComparison:
         table: The table.
         fitted: Error of the machine with the table on the fitted runs, in units of the sensor noise (root of
             chi-squared per sample).
-        held_out: Root-mean-square error of the held-out runs that the machine with the table simulates, by channel, in
-            units of the sensor noise.
+        held_out: Root-mean-square error of the held-out runs that the machine with the table simulates, by
+            channel, in units of the sensor noise.
         formulas: Formulas by increasing number of parameters, with their errors.
     """
 
@@ -166,7 +168,7 @@ class TableComparison:
 
     @property
     def mean_noise_ratio(self) -> float:
-        """Mean over the channels of rms error / sensor noise, dimensionless, on the held-out runs, with the table."""
+        """Mean over channels of rms error / sensor noise, dimensionless, on held-out runs, with table."""
         return mean_error(self.held_out)
 
     def as_entry(self) -> document.TableOfFormulas:
@@ -181,7 +183,7 @@ class TableComparison:
 
 
 def tables_of(machine: Machine) -> tuple[AppliedEffect, ...]:
-    """Return the tables (forces or friction levels interpolated over one variable) among the effects of a machine.
+    """Return the tables (forces or friction levels over one variable) among a machine's effects.
 
     Args:
         machine: Identified machine.
@@ -196,13 +198,13 @@ def propose_formulas(machine: Machine, table: AppliedEffect) -> tuple[ProposedFo
     """Fit formulas to the values of a table (a force or friction level interpolated over one variable).
 
     Args:
-        machine: Identified machine with the table. The covariance of its parameters weights the values; without it,
-            all values have the same weight.
+        machine: Identified machine with the table. The covariance of its parameters weights the values;
+            without it, all values have the same weight.
         table: Effect of the machine that is such a table.
 
     Returns:
-        At most three formulas by increasing number of parameters; one is recommended. Their errors on runs are not
-        computed: `fitted` is None and `held_out` is empty.
+        At most three formulas by increasing number of parameters; one is recommended. Their errors on runs
+        are not computed: `fitted` is None and `held_out` is empty.
 
     Raises:
         ImportError: If scikit-learn is not installed; the message names the extra `formulas`.
@@ -214,7 +216,7 @@ def propose_formulas(machine: Machine, table: AppliedEffect) -> tuple[ProposedFo
 def compare_formulas(
     result: IdentificationResult, log: LineLog = lambda line: None
 ) -> tuple[TableComparison, ...]:
-    """Propose formulas for each table of an identified machine and compare their errors with the table's error.
+    """Propose formulas for each table of an identified machine and compare their errors with the table's.
 
     A table is a force or friction level interpolated over one variable. Each formula takes its place, and all
     parameters of the machine are fitted again. A formula with which the machine diverges is left out.
@@ -271,7 +273,7 @@ def _with_recommendation(formulas: Sequence[ProposedFormula]) -> tuple[ProposedF
 
 
 class _Runs:
-    """Fitted and held-out runs of a result of `identify`, to which machines are fitted and compared in one way."""
+    """Fitted and held-out runs of a result of `identify`, for machines fitted and compared in one way."""
 
     def __init__(self, result: IdentificationResult) -> None:
         self._result = result
@@ -303,8 +305,8 @@ class _Runs:
     def fit(self, machine: Machine, target_chi2: float) -> Fit:
         """Fit all parameters of a machine and its effects, starting from their values.
 
-        A fit in simulation needs a close start. If it ends above `target_chi2` (chi-squared per sample), it is repeated
-        from the fit with an observer, and the better fit is returned.
+        A fit in simulation needs a close start. If it ends above `target_chi2` (chi-squared per sample), it
+        is repeated from the fit with an observer, and the better fit is returned.
         """
         free = self._free_parameters(machine)
         values = machine.parameters
@@ -318,7 +320,7 @@ class _Runs:
         return best
 
     def _free_parameters(self, machine: Machine) -> tuple[FreeParameter, ...]:
-        """Return the free parameters of a machine and its effects; the former are limited about declared values."""
+        """Return free parameters of a machine and its effects; declared values limit the former."""
         declared = {f.name: f for f in default_free_parameters(self._result.declared.machine, effects=False)}
         free = [declared.get(f.name, f) for f in default_free_parameters(machine, effects=False)]
         for effect in machine.effects:

@@ -16,11 +16,12 @@ from ..predict.free_parameters import default_free_parameters
 
 # A combination of parameters is not determined if its variance is beyond this fraction of the prior's.
 _UNDETERMINED_VARIANCE = 0.25
-# Standard deviation, relative to the value, that counts as the prior of an effect's parameter that was not declared.
+# Standard deviation, relative to the value, that counts as the prior of an effect's parameter that was not
+# declared.
 _UNDECLARED_PRIOR = 0.5
-# A parameter belongs to a direction that is not determined if two values are at least this large: its component (in
-# units of the prior's standard deviation) relative to the largest one, and the fraction of its variance that is along
-# the direction.
+# A parameter belongs to a direction that is not determined if two values are at least this large: its
+# component (in units of the prior's standard deviation) relative to the largest one, and the fraction of its
+# variance that is along the direction.
 _MIN_MEMBERSHIP = 0.1
 
 
@@ -40,7 +41,7 @@ class DeterminedSum(NamedTuple):
 
 @dataclass(frozen=True)
 class InseparableParameters:
-    """Parameters whose single values the data do not determine; the data determine only some weighted sums of them.
+    """Parameters whose single values the data do not determine, but only some weighted sums of them.
 
     Attributes:
         names: Full names of the parameters.
@@ -54,8 +55,8 @@ class InseparableParameters:
         """Describe in words which weighted sums of these parameters the data determine.
 
         Returns:
-            Clause, for example "only phi1.viscous + 1.13 motor1.Ke is determined". If the data determine none: "no
-            combination of phi1.viscous, motor1.Ke is determined".
+            Clause, for example "only phi1.viscous + 1.13 motor1.Ke is determined". If the data determine
+            none: "no combination of phi1.viscous, motor1.Ke is determined".
         """
         if not self.combinations:
             return f"no combination of {', '.join(self.names)} is determined"
@@ -77,7 +78,8 @@ def sum_text(weights: Mapping[str, float]) -> str:
     """Format a weighted sum of parameters, for example "phi1.viscous + 1.13 motor1.Ke".
 
     Args:
-        weights: Weight by full parameter name, in the unit of the first parameter per unit of the weighted parameter.
+        weights: Weight by full parameter name, in the unit of the first parameter per unit of the weighted
+            parameter.
 
     Returns:
         Text with weights to three digits; weights of 1 are left out.
@@ -99,19 +101,20 @@ def _value_and_std(machine: Machine, weights: dict[str, float]) -> tuple[float, 
 
 
 def inseparable_parameters(machine: Machine, declared: Machine) -> tuple[InseparableParameters, ...]:
-    """Find sets of parameters that the data do not separate: only some weighted sums influence the measurements.
+    """Find sets of parameters that the data do not separate: only weighted sums influence measurements.
 
-    The covariance is scaled by the standard deviations of the priors. Its eigenvectors with an eigenvalue above 0.25
-    are directions along which the data reduced the variance of the prior by less than a factor of four. The data do not
-    separate the parameters that contribute to the same direction.
+    The covariance is scaled by the standard deviations of the priors. Its eigenvectors with an eigenvalue
+    above 0.25 are directions along which the data reduced the variance of the prior by less than a factor of
+    four. The data do not separate the parameters that contribute to the same direction.
 
     Args:
         machine: Identified machine with its uncertainty.
         declared: Machine as it was declared, whose parameters are the centers of the priors.
 
     Returns:
-        Disjoint sets of at least two parameters each, with the weighted sums that the data determine. Ordinates of
-        tables (curves) are left out. Empty if all parameters are separable or the machine has no uncertainty.
+        Disjoint sets of at least two parameters each, with the weighted sums that the data determine.
+        Ordinates of tables (curves) are left out. Empty if all parameters are separable or the machine has no
+        uncertainty.
     """
     if machine.uncertainty is None:
         return ()
@@ -125,7 +128,8 @@ def inseparable_parameters(machine: Machine, declared: Machine) -> tuple[Insepar
     variances, axes = np.linalg.eigh(scaled)
     undetermined = variances > _UNDETERMINED_VARIANCE
     directions = (axes[:, undetermined] * np.sqrt(variances[undetermined])).T  # (directions, parameters)
-    # In row echelon form, each direction is the change of one parameter (pivot) and of those that compensate for it.
+    # In row echelon form, each direction is the change of one parameter (pivot) and of those that compensate
+    # for it.
     directions, pivots = _row_echelon(directions)
     # A direction's component in a parameter that the data determine otherwise is rounding.
     member = np.abs(directions) > np.maximum(np.sqrt(_MIN_MEMBERSHIP * np.diag(scaled)), _MIN_MEMBERSHIP)
@@ -148,7 +152,7 @@ def inseparable_parameters(machine: Machine, declared: Machine) -> tuple[Insepar
 
 
 def _prior_std(machine: Machine, declared: Machine) -> dict[str, float]:
-    """Return the standard deviation of the prior of every identified parameter, in its unit; 0: not to be compared."""
+    """Return the prior's standard deviation of identified parameters, in their units; 0: do not compare."""
     declared_free = {f.name: f for f in default_free_parameters(declared)}
     parameters = {
         f"{e.label}.{p.name}": (p.role, bool(e.definition.against))
@@ -175,7 +179,7 @@ def _determined_sum(
     unit: Array,
     names: list[str],
 ) -> dict[str, float]:
-    """Return the weights, by name, of the sum of parameters that is constant along reduced directions; the first is 1.
+    """Return the weights, by name, of the sum of parameters that reduced directions leave; the first is 1.
 
     The sum has pivots and the one parameter `free` beside them. The directions are in multiples of `unit`.
     """
@@ -191,7 +195,8 @@ def _determined_sum(
 def _row_echelon(rows: Array) -> tuple[Array, list[int]]:
     """Reduce independent rows (m, k) so that each has a pivot column with a 1 in which all others are 0.
 
-    The pivot is the largest element of a row, so that rows about different columns do not mix. Return the pivots, too.
+    The pivot is the largest element of a row, so that rows about different columns do not mix. Return the
+    pivots, too.
     """
     reduced, pivots = rows.copy(), []
     for i in range(len(reduced)):

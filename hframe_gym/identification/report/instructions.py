@@ -1,4 +1,4 @@
-"""What to do after an identification: what to record, what to measure, and which controller to try at which period."""
+"""What to do after an identification: what to record, what to measure, and which controller to try."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def _declarations(report: Report) -> list[NextStep]:
 
 
 def _measurements(report: Report) -> list[NextStep]:
-    """Return the parameters that a user should measure, because the recordings determine only sums with them."""
+    """Return the parameters that a user should measure, as recordings determine only sums with them."""
     steps = []
     for group in report.not_separable:
         found = [(name, how) for end, how in _MEASUREMENTS for name in group.parameters if name.endswith(end)]
@@ -226,10 +226,10 @@ def next_command(verdict: str, machine: Machine, folder: Path) -> str:
         folder: Folder of the result.
 
     Returns:
-        Command line that evaluates a controller on the machine, with a control period at which the belts can be
-        damped. For the verdict "unexplained", or a machine for which there are no controllers (it has no tool that
-        moves within a declared range), a command that opens the report, which shows what the residual depends on and
-        what to record next.
+        Command line that evaluates a controller on the machine, with a control period at which the belts can
+        be damped. For the verdict "unexplained", or a machine for which there are no controllers (it has no
+        tool that moves within a declared range), a command that opens the report, which shows what the
+        residual depends on and what to record next.
     """
     if verdict == "unexplained" or not _has_workspace(machine):
         return f"hframe report {quoted(str(folder))} --open"

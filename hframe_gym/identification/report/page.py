@@ -39,16 +39,18 @@ def build_report(folder: Path, final_folder: Path | None = None) -> Path:
     """Draw the plots of an identification result and write report.html.
 
     Args:
-        folder: Folder that `hframe identify` wrote. The page is written there, the plots to its subfolder plots/. All
-            files appear together; within a `with output_batch(folder)` block of the caller, at the end of the block.
-        final_folder: Folder that the commands on the page name, if the files are moved there later. Default: `folder`.
+        folder: Folder that `hframe identify` wrote. The page is written there, the plots to its subfolder
+            plots/. All files appear together; within a `with output_batch(folder)` block of the caller, at
+            the end of the block.
+        final_folder: Folder that the commands on the page name, if the files are moved there later. Default:
+            `folder`.
 
     Returns:
         Path of report.html.
 
     Raises:
-        InputError: If the folder holds no result, or a file of it is damaged or cannot be written; the message names
-            the file.
+        InputError: If the folder holds no result, or a file of it is damaged or cannot be written; the
+            message names the file.
         ImportError: If a library of the extra ``report`` is missing.
     """
     saved = load_result(folder)
@@ -126,7 +128,7 @@ def _pair(report: Report) -> dict[str, str]:
 
 
 def _channel_row(report: Report, channel: str) -> dict[str, Any]:
-    """Return the errors of one channel for each machine, in one readable unit and in multiples of the noise."""
+    """Return a channel's errors for each machine, in one readable unit and in multiples of the noise."""
     row: dict[str, Any] = {"name": channel}
     errors = {key: evaluation.channels[channel] for key, evaluation in report.machines.items()}
     factor, unit = readable_unit(channel, errors["before"].rmse or 0.0)

@@ -17,11 +17,13 @@ _HIGH_CORRELATION = 0.95
 # A standard deviation beyond this fraction of the prior's: the data hardly added to the declared value.
 _PRIOR_DOMINATES = 0.6
 _BOUND_TOLERANCE = 1e-6  # relative
-# Friction that is declared as zero is reported beyond this many standard deviations of its prior, and of its estimate.
+# Friction that is declared as zero is reported beyond this many standard deviations of its prior, and of its
+# estimate.
 _UNDECLARED_STDS = 4.0
 _CLEAR_DAMPING = 2.0  # factor between fitted and declared damping, from which on the file is called wrong
 _COMPATIBLE_STDS = 2.0  # standard deviations within which a value may equal the declared one
-# Parameters that users know to within a factor of two; friction and back-EMF may be a fraction of the declared value.
+# Parameters that users know to within a factor of two; friction and back-EMF may be a fraction of the
+# declared value.
 _KNOWN_PARAMETERS = ("mass", "EA", "Kt")
 
 
@@ -73,18 +75,19 @@ def undeclared_friction(machine: Machine, declared: Machine) -> tuple[Undeclared
 def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
     """Describe the parameters of the machine that the fit moved to the limit of their range.
 
-    The limit is 4 prior standard deviations of the value's logarithm from the declared value. A value so far away means
-    that the machine file, or a unit or gear ratio of the recordings, is wrong by a factor, or that the machine lacks an
-    effect. The other parameters are then unreliable as well. If the declared value is within two standard deviations of
-    the fitted one, the recordings do not determine the parameter, and its fitted value means nothing.
+    The limit is 4 prior standard deviations of the value's logarithm from the declared value. A value so far
+    away means that the machine file, or a unit or gear ratio of the recordings, is wrong by a factor, or that
+    the machine lacks an effect. The other parameters are then unreliable as well. If the declared value is
+    within two standard deviations of the fitted one, the recordings do not determine the parameter, and its
+    fitted value means nothing.
 
     Args:
         machine: Refitted machine, with its uncertainty if that is known.
         declared: Machine as it was declared, whose parameters are the centers of the priors.
 
     Returns:
-        By full parameter name, one sentence; empty if no parameter is at its limit. Masses, belt stiffnesses and torque
-        constants come first: users know them better than friction and back-EMF.
+        By full parameter name, one sentence; empty if no parameter is at its limit. Masses, belt stiffnesses
+        and torque constants come first: users know them better than friction and back-EMF.
     """
     described = {}
     for parameter in default_free_parameters(declared):
@@ -127,7 +130,7 @@ def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
 
 
 def _is_limited(parameter: FreeParameter, value: float) -> bool:
-    """Return whether a limit of the fit determines a value; a plain fit, which has none, may lie beyond it."""
+    """Return whether a limit of the fit determines a value; a plain fit may lie beyond it, having none."""
     theta = parameter.theta(value)
     return parameter.at_limit(theta) and not parameter.beyond_limit(theta)
 
@@ -160,10 +163,11 @@ def parameter_doubts(machine: Machine, declared: Machine) -> dict[str, list[str]
 
     The reasons are:
 
-    - The value is at a bound or at the limit of the fit. One beyond it, of a fit without limits, is not doubted.
+    - The value is at a bound or at the limit of the fit. One beyond it, of a fit without limits, is not
+      doubted.
     - The data determine only weighted sums with other parameters. The following reasons are then not given.
-    - The standard deviation is above 20 % of the value (of a phase: 0.3 rad), or above 60 % of that of the prior, so
-      that the declared value determines the parameter more than the data do.
+    - The standard deviation is above 20 % of the value (of a phase: 0.3 rad), or above 60 % of that of the
+      prior, so that the declared value determines the parameter more than the data do.
     - The magnitude of the correlation with another parameter is above 0.95.
 
     Args:
@@ -171,8 +175,8 @@ def parameter_doubts(machine: Machine, declared: Machine) -> dict[str, list[str]
         declared: Machine as it was declared, whose parameters are the centers of the priors.
 
     Returns:
-        Phrases for the report by full parameter name; an empty list for a reliable parameter. An empty dictionary if
-        the machine has no uncertainty.
+        Phrases for the report by full parameter name; an empty list for a reliable parameter. An empty
+        dictionary if the machine has no uncertainty.
     """
     if machine.uncertainty is None:
         return {}
@@ -204,7 +208,7 @@ def _add_bound_doubts(machine: Machine, doubts: dict[str, list[str]]) -> None:
 def _add_precision_doubts(
     machine: Machine, uncertainty: Uncertainty, declared: Machine, doubts: dict[str, list[str]]
 ) -> None:
-    """Add parameters with a large standard deviation, and those that the prior determines rather than the data."""
+    """Add parameters of large standard deviation, and those that the prior determines not the data."""
     priors = {f.name: f for f in default_free_parameters(declared)}
     roles = {f"{e.label}.{p.name}": p.role for e in machine.effects for p in e.definition.parameters}
     for name, reasons in doubts.items():

@@ -1,4 +1,4 @@
-"""Curves of the plots in report.html, computed once and kept in evidence.npz: errors, missing force and coverage."""
+"""Curves of the plots in report.html, computed once and kept in evidence.npz: errors, force, coverage."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from ..forces.motion_variables import dependence_variables
 from .result import IdentificationResult
 from .result_curves import MissingForce, ResultCurves, RunCurves
 
-# Points of a thinned curve that are kept at least, if it has as many: every k-th point of the curve is kept, so that
-# fewer than twice as many remain.
+# Points of a thinned curve that are kept at least, if it has as many: every k-th point of the curve is kept,
+# so that fewer than twice as many remain.
 _LEAST_POINTS = 4000
 
 
@@ -69,5 +69,5 @@ def _coverage(result: IdentificationResult) -> dict[str, Array]:
 
 
 def _thinned(by_run: list[Array]) -> Array:
-    """Return every k-th value of a curve that is given run by run; k depends on the number of values alone."""
+    """Return every k-th value of a curve that is given run by run; k depends on its length alone."""
     return np.concatenate(by_run)[:: max(1, sum(map(len, by_run)) // _LEAST_POINTS)]

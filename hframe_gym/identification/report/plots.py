@@ -45,21 +45,24 @@ def report_panels(
     declared: Machine,
     runs: Sequence[str] = (),
 ) -> Panels:
-    """Prepare the plots of an identification report as panels: axes with title, description and drawing function.
+    """Prepare an identification report's plots as panels: axes with title, description and drawing function.
 
-    They show the errors by channel and over time, the force that the model lacks (residual force), the tables (forces
-    interpolated over one variable), and the positions, velocities and voltages that the recordings cover.
+    They show the errors by channel and over time, the force that the model lacks (residual force), the tables
+    (forces interpolated over one variable), and the positions, velocities and voltages that the recordings
+    cover.
 
     Args:
         machine: Identified machine.
-        declared: Machine as given. Effects that only the identified machine has are drawn, named as causes or not.
-        runs: Names of the held-out runs, those first whose errors are drawn over time. Default: as in the report.
+        declared: Machine as given. Effects that only the identified machine has are drawn, named as causes or
+            not.
+        runs: Names of the held-out runs, those first whose errors are drawn over time. Default: as in the
+            report.
 
     Returns:
-        Panels by name of the plot: error_by_channel, error_over_time (one panel per channel for each of the first two
-        held-out runs), error_over_motion, correlations (of the errors of the first run), residual_force, effects (each
-        over its own variable), tables, coverage. The list of a plot without data, such as tables of a machine without
-        tables, is empty.
+        Panels by name of the plot: error_by_channel, error_over_time (one panel per channel for each of the
+        first two held-out runs), error_over_motion, correlations (of the errors of the first run),
+        residual_force, effects (each over its own variable), tables, coverage. The list of a plot without
+        data, such as tables of a machine without tables, is empty.
     """
     present = {effect.label for effect in declared.effects}
     gains = {f"{effect.name}@{effect.site}": effect.held_out_gain for effect in report.effects}
@@ -188,7 +191,7 @@ def _error_over_time(run: RunCurves, name: str, channel: str, j: int, stages: di
 
 
 def _envelope(time_s: Array, values: Array) -> tuple[Array, Array]:
-    """Return a long curve (n,) without its gaps, thinned to the smallest and largest value of each interval."""
+    """Return a long curve (n,) without its gaps, thinned to each interval's smallest and largest value."""
     measured = np.isfinite(values)
     time_s, values = time_s[measured], values[measured]
     if len(values) <= 2 * _MAX_BUCKETS:
@@ -229,7 +232,7 @@ def _residual_force(report: Report, missing: MissingForce, machine: Machine) -> 
 
 
 def _with_unit(variable: str, machine: Machine) -> str:
-    """Return a variable's name with its unit: `velocity of x, m/s`, `current of motor1, A`, `time, s`, `v1_V`."""
+    """Return a variable's name and unit: `velocity of x, m/s`, `current of motor1, A`, `time, s`, `v1_V`."""
     what, _, name = variable.partition(" of ")
     if not name:
         return f"{what}, s" if what in ("time", "time in the run") else what
@@ -285,12 +288,13 @@ def _coverage(label: str, values: Array) -> Panel:
 def slow_fractions(coverage: Mapping[str, Array]) -> dict[str, str]:
     """Compute the fraction of its moving time that each coordinate spends below 5 % of its top speed.
 
-    The report states it because only motion at low speed shows how friction depends on low speeds. The top speed is the
-    99th percentile of the speed. A coordinate moves while its speed is above 0.1 % of the top speed.
+    The report states it because only motion at low speed shows how friction depends on low speeds. The top
+    speed is the 99th percentile of the speed. A coordinate moves while its speed is above 0.1 % of the top
+    speed.
 
     Args:
-        coverage: Where the runs have been by name, shape (m,). Those named "velocity of C" are velocities of the
-            coordinate C, m/s or rad/s; all others are ignored.
+        coverage: Where the runs have been by name, shape (m,). Those named "velocity of C" are velocities of
+            the coordinate C, m/s or rad/s; all others are ignored.
 
     Returns:
         Fraction as text, such as "23 %", by name of each coordinate that moves.

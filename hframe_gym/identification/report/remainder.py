@@ -18,18 +18,20 @@ NOTICEABLE_ERROR = 1.3  # Remaining error over noise that the report calls unexp
 # Error in percent of the motion that is small: a feed-forward control by the machine removes the other 99 %.
 _SMALL_PERCENT_OF_MOTION = 1.0
 _WHOLE = 100.0  # percent; a larger force is no part of another one.
-# A simulation whose error is beyond both has drifted: times the noise, and percent of the motion before or after.
+# A simulation whose error is beyond both has drifted: times the noise, and percent of the motion before or
+# after.
 _MAX_NOISE_RATIO, _MAX_PERCENT_OF_MOTION = 50.0, 50.0
 DIVERGES = "infinitely many (its simulation diverges)"
 
 
 def tone_of_remainder(report: Report) -> Literal["good", "neutral", "warning"]:
-    """Return the tone of the page, which follows from the error that is left and not from the names that were found.
+    """Return the tone of the page, which follows from the error left and not from the names found.
 
     Returns:
         "good" if the error is at most `max_noise_ratio_explained` times the noise, and beyond it at most
-        `max_motion_error` of the motion of every channel, and the verdict is not "unexplained"; otherwise "neutral" if
-        it is at most 1 % of the motion of every channel; "warning" if it is larger, or the simulation diverges.
+        `max_motion_error` of the motion of every channel, and the verdict is not "unexplained"; otherwise
+        "neutral" if it is at most 1 % of the motion of every channel; "warning" if it is larger, or the
+        simulation diverges.
     """
     criteria, left = SelectionCriteria(), report.left
     percents = report.after.percents_of_motion
@@ -44,7 +46,7 @@ def tone_of_remainder(report: Report) -> Literal["good", "neutral", "warning"]:
 
 
 def drifts(report: Report) -> bool:
-    """Return whether the simulation drifts, so that the error of the drives' force describes the machine better."""
+    """Return whether a simulation drifts, so that the drives' force error describes the machine better."""
     ratio = report.after.noise_ratio
     if report.after.force_error is None or ratio is None or ratio <= _MAX_NOISE_RATIO:
         return False
@@ -53,7 +55,7 @@ def drifts(report: Report) -> bool:
 
 
 def cause_of_remainder(report: Report) -> str:
-    """Return the end of a sentence about the error that is left: why that is; "" if it is the sensors' noise."""
+    """Return a sentence's end about the error left: why that is; "" if it is the sensors' noise."""
     if (left := report.left) is None or left < NOTICEABLE_ERROR:
         return ""
     if not (runs := report.contradicting):
@@ -71,9 +73,9 @@ def reason_of_remainder(report: Report) -> str:
         report: Content of report.json, with the error `left`.
 
     Returns:
-        What a formula that is recommended in place of a table leaves, if that is clearly less; what a table does not
-        describe, for another machine with a table; that voltages which the log lacks may be the cause; that it comes
-        from an unstable motion; or that it is not known.
+        What a formula that is recommended in place of a table leaves, if that is clearly less; what a table
+        does not describe, for another machine with a table; that voltages which the log lacks may be the
+        cause; that it comes from an unstable motion; or that it is not known.
     """
     tables = any(effect.name.partition("[")[0] in HOOK_OF_KIND for effect in report.effects)
     formulas = {
@@ -101,8 +103,8 @@ def reason_of_remainder(report: Report) -> str:
 def largest_position_error(evaluation: Evaluation) -> str:
     """Return the largest rms error of the position channels, in words.
 
-    Lengths come first, then angles. Of channels of other kinds, whose units do not compare, it is the error of the
-    channel with the largest multiple of its noise.
+    Lengths come first, then angles. Of channels of other kinds, whose units do not compare, it is the error
+    of the channel with the largest multiple of its noise.
     """
     errors = evaluation.channels
     measured = {channel: error.rmse for channel, error in errors.items() if error.rmse is not None}
@@ -122,8 +124,8 @@ def largest_position_error(evaluation: Evaluation) -> str:
 def missing_forces(evaluations: Sequence[Evaluation]) -> list[str]:
     """Return the forces that machines lack, with their unit, "" where none is known.
 
-    They are given in percent of the drives' force. If one is larger than that, the drives hardly acted, and all are
-    given in N or Nm; so they are where the commands of the drives tell no force.
+    They are given in percent of the drives' force. If one is larger than that, the drives hardly acted, and
+    all are given in N or Nm; so they are where the commands of the drives tell no force.
     """
     parts = [evaluation.missing_force_percent for evaluation in evaluations]
     forces = [evaluation.missing_force for evaluation in evaluations]
@@ -134,7 +136,7 @@ def missing_forces(evaluations: Sequence[Evaluation]) -> list[str]:
 
 
 def parts_of_remainder(report: Report) -> list[str]:
-    """Return the error that is left: the largest one in mm, all in multiples of the noise, of the motion, the force."""
+    """Return the error that is left: the largest in mm, all in multiples of noise, motion, force."""
     if report.left is None:
         return []
     motions, (force,) = report.after.percents_of_motion, missing_forces([report.after])

@@ -30,10 +30,10 @@ class RejectedEffect:
 
     Attributes:
         effect: The effect with the parameters of its trial fit.
-        size: Force of the effect relative to that of the drives, root mean squares over the fitted runs; infinite if no
-            force describes it.
-        held_out_gain: Fraction of the squared prediction error on the held-out runs that it removes; negative if it
-            increases the error.
+        size: Force of the effect relative to that of the drives, root mean squares over the fitted runs;
+            infinite if no force describes it.
+        held_out_gain: Fraction of the squared prediction error on the held-out runs that it removes; negative
+            if it increases the error.
         reason: Why it was rejected; a clause that follows "it ".
     """
 
@@ -80,16 +80,16 @@ class IdentificationResult:
     """Result of `identify`.
 
     Attributes:
-        verdict: "effect_found", "no_effect" (the refitted machine explains the data) or "unexplained" (an error remains
-            that no effect explains).
+        verdict: "effect_found", "no_effect" (the refitted machine explains the data) or "unexplained" (an
+            error remains that no effect explains).
         declared: The machine as declared.
         before: The machine with its parameters refitted.
         after: The machine with the selected effects.
         effects: Selected effects.
-        gains: Fraction of the squared error on the held-out runs that each effect removes, by label (name@site);
-            negative if the effect increases the error.
-        sizes: Force of each effect relative to that of the drives, root mean squares, by label; infinite if no force
-            describes the effect.
+        gains: Fraction of the squared error on the held-out runs that each effect removes, by label
+            (name@site); negative if the effect increases the error.
+        sizes: Force of each effect relative to that of the drives, root mean squares, by label; infinite if
+            no force describes the effect.
         considered: Effects that reduced the error of the fitted runs but failed a test.
         dependence: Variables that the residual force of the refitted machine depends on, strongest first.
         white: Whether the machine with the selected effects leaves only the sensors' noise.
@@ -98,10 +98,11 @@ class IdentificationResult:
         seconds: Duration of the identification, s.
         experiment: Run that would distinguish the leading effect from its rival, where there is one.
         criteria: Decision thresholds that were used.
-        excluded: One sentence for each run that was not used, or that was held out and contradicts the fitted ones.
+        excluded: One sentence for each run that was not used, or that was held out and contradicts the fitted
+            ones.
         contradicting: Names of the held-out runs that contradict the fitted ones.
-        reason: Why the held-out runs do not permit another verdict than "unexplained", in words with numbers; "" if the
-            search itself found no explanation, or one was found.
+        reason: Why the held-out runs do not permit another verdict than "unexplained", in words with numbers;
+            "" if the search itself found no explanation, or one was found.
         hint: What the missing force depends on, if no effect is named and it depends on something.
         unfinished: What the search was doing when its budget ended; None if it is complete.
         plain: Plain fit of inertia and friction, for comparison; None if the runs permit none.
@@ -135,18 +136,18 @@ class IdentificationResult:
 
     @property
     def explained(self) -> float:
-        """Fraction of the squared error beyond noise, on held-out runs, that the selected effects remove; 0 if none."""
+        """Fraction of squared error beyond noise, on held-out runs, that selected effects remove, or 0."""
         before, after = (max(e.held_out.noise_ratio**2 - 1.0, 0.0) for e in (self.before, self.after))
         return 0.0 if not self.effects or before <= 0.0 else 1.0 - after / before  # NaN if one diverges
 
     @property
     def left(self) -> float:
-        """Ratio of simulation error to noise on the held-out runs, rms over the channels; 1 if only noise is left."""
+        """Ratio of simulation error to noise on the held-out runs, rms over the channels; 1: noise alone."""
         return self.after.held_out.noise_ratio
 
     @property
     def left_in_others(self) -> float:
-        """The ratio `left` for the held-out runs that do not contradict the fitted ones; NaN if there are none."""
+        """The ratio `left` for the held-out runs that do not contradict the fitted ones, or NaN."""
         errors = [error for name, error in self.after.errors.items() if name not in self.contradicting]
         channels = errors_by_channel(errors, self.after.machine, self.held_out.noise) if errors else {}
         return PredictionErrors(channels, None).noise_ratio
@@ -158,12 +159,12 @@ class IdentificationResult:
 
     @property
     def deviating_sensors(self) -> tuple[str, ...]:
-        """Sensors that deviate alone; without a name, of the refitted machine, since a description hides the place."""
+        """Sensors that deviate alone; without a name, of the refit, as a description hides the place."""
         return (self.before if self.verdict == "unexplained" else self.after).deviating_sensors
 
     @property
     def limit_warnings(self) -> tuple[str, ...]:
-        """Warnings about masses, belt stiffnesses and torque constants at the limit of the fit, one sentence each."""
+        """Warnings about masses, belt stiffnesses and torque constants at a limit, one sentence each."""
         return tuple(parameters_at_limit(self.after.machine, self.declared.machine).values())
 
     @property
@@ -187,7 +188,7 @@ class IdentificationResult:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What limits the result, one sentence each: an incomplete search, parameters at a limit, unused runs, ..."""
+        """What limits the result, one sentence each: incomplete search, parameters at limits, unused runs."""
         unfinished = (str(self.unfinished),) if self.unfinished else ()
         return (*unfinished, *self.limit_warnings, *self.divergence_warnings, *self.run_warnings)
 
@@ -196,7 +197,7 @@ class IdentificationResult:
         return self.as_report().as_json()
 
     def as_report(self) -> document.Report:
-        """Return the content of report.json without what `write_result` adds: warnings, formulas and origin."""
+        """Return report.json's content without what `write_result` adds: warnings, formulas and origin."""
         with_force = all(
             e.held_out.force is not None for e in self.evaluations.values()
         )  # else not comparable

@@ -1,4 +1,4 @@
-"""Curves of a result that the report draws: held-out runs with their errors, missing force, and where the runs were."""
+"""Curves of a result that the report draws: held-out runs with errors, missing force, and covered states."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ class RunCurves:
         time_s: Sample times, s, shape (n,).
         measured: Measurements minus the sensors' zeros, in the sensors' units, shape (n, sensors).
         errors: Measured minus simulated values, in the sensors' units, shape (n, sensors), of the "declared",
-            the refitted ("before") and the corrected ("after") machine, and of the "plain" fit, if there is one.
+            the refitted ("before") and the corrected ("after") machine, and of the "plain" fit, if there is
+            one.
         inputs: Inputs, in the drives' units, shape (n, drives); None in results of older versions.
     """
 
@@ -32,8 +33,8 @@ class MissingForce:
 
     Attributes:
         variable: Variable on which it depends most, such as a position, SI, shape (m,).
-        by_machine: Force that the refitted ("before") and the corrected ("after") machine lack, on the coordinate that
-            shows this dependence, N or Nm, shape (m,).
+        by_machine: Force that the refitted ("before") and the corrected ("after") machine lack, on the
+            coordinate that shows this dependence, N or Nm, shape (m,).
     """
 
     variable: Array
@@ -49,8 +50,9 @@ class ResultCurves:
     Attributes:
         runs: Held-out runs by name.
         missing_force: Missing force of the fitted runs; None if it depends on no variable.
-        coverage: Where the fitted runs have been, SI, shape (m,), by name: an input channel, or "position of C" or
-            "velocity of C" for each linear coordinate C; on a machine without linear coordinates, for each coordinate.
+        coverage: Where the fitted runs have been, SI, shape (m,), by name: an input channel, or "position of
+            C" or "velocity of C" for each linear coordinate C; on a machine without linear coordinates, for
+            each coordinate.
     """
 
     runs: dict[str, RunCurves]
@@ -58,7 +60,7 @@ class ResultCurves:
     coverage: dict[str, Array]
 
     def as_arrays(self) -> dict[str, Array]:
-        """Return the arrays by name as evidence.npz holds them, SI, shape (n,), (n, sensors), (n, drives) or (m,).
+        """Return the arrays of evidence.npz by name, SI, shape (n,), (n, sensors), (n, drives) or (m,).
 
         They are RUN/time_s, RUN/measured, RUN/inputs and RUN/MACHINE of each held-out run; force/variable and
         force/MACHINE of the missing force; and coverage/NAME.

@@ -114,14 +114,14 @@ def effect_rows(report: Report, machine: Machine) -> list[EffectRow]:
 
 
 def _gain_sentence(gain: float) -> str:
-    """Return what an effect does to the squared error of the held-out runs; a negative gain makes it larger."""
+    """Return what an effect does to the squared error of the held-out runs; a negative gain raises it."""
     if gain < 0.0:
         return f"It increases the squared error of the held-out runs by {-100 * gain:.3g} %."
     return f"It removes {percent(gain)} % of the squared error of the held-out runs."
 
 
 def parameter_rows(machine: Machine, declared: Machine) -> list[ParameterRow]:
-    """Return every identified parameter except a table's, with its standard deviation and the reasons to doubt it.
+    """Return every identified parameter except a table's, with standard deviation and reasons to doubt it.
 
     Args:
         machine: Identified machine.
@@ -145,7 +145,7 @@ def parameter_rows(machine: Machine, declared: Machine) -> list[ParameterRow]:
 
 
 def correlation_rows(machine: Machine) -> list[CorrelationRow]:
-    """Return the correlations of each identified parameter with those before it, without ordinates of tables."""
+    """Return each identified parameter's correlations with those before it, without table ordinates."""
     if machine.uncertainty is None:
         return []
     names = machine.uncertainty.names

@@ -47,7 +47,8 @@ def load_result(folder: Path) -> SavedResult:
         Report, machines and curves of the plots.
 
     Raises:
-        InputError: If a file is missing, damaged or inconsistent with another file; the message names the file.
+        InputError: If a file is missing, damaged or inconsistent with another file; the message names the
+            file.
     """
     report = read_report(folder)
     for name in ("machine.json", "declared.json"):
@@ -91,14 +92,15 @@ def read_report(folder: Path) -> Report:
 def formulas_of_folder(folder: Path, name: str, table: str = "") -> tuple[ProposedFormula, ...]:
     """Return formulas that can take the place of a table of a saved identification.
 
-    A table is a force or friction level interpolated over one variable. The formulas are those that `hframe identify`
-    compared with it, with their fitted parameters and the errors of the machine with each formula on the recorded runs.
-    If it compared none, formulas are fitted to the values of the table; their errors on runs are then unknown.
+    A table is a force or friction level interpolated over one variable. The formulas are those that
+    `hframe identify` compared with it, with their fitted parameters and the errors of the machine with each
+    formula on the recorded runs. If it compared none, formulas are fitted to the values of the table; their
+    errors on runs are then unknown.
 
     Args:
         folder: Folder that `write_result` wrote.
-        name: Name of the effect that each formula defines: a Python identifier in lower case, different from the names
-            of existing effects.
+        name: Name of the effect that each formula defines: a Python identifier in lower case, different from
+            the names of existing effects.
         table: Label of the table, for example "smooth_force[position of x]@x". Default: the first one.
 
     Returns:

@@ -26,8 +26,9 @@ _BY_INSTRUMENTS = (
 def verdict_sentence(report: Report) -> str:
     """Describe in words the verdict and the error on the held-out runs, which were not fitted.
 
-    The error is the simulation error in units of the sensors' noise, root mean square over the channels. If the
-    simulation drifts, the relative error of the drives' force is stated instead, if the report contains it.
+    The error is the simulation error in units of the sensors' noise, root mean square over the channels. If
+    the simulation drifts, the relative error of the drives' force is stated instead, if the report contains
+    it.
 
     Returns:
         One or more English sentences.
@@ -167,7 +168,7 @@ def unfinished_search(report: Report) -> list[str]:
 
 
 def _remainder(report: Report) -> str:
-    """Return a sentence about the error that the machine of the verdict leaves, "" if it is the sensors' noise."""
+    """Return a sentence about the error that the machine of the verdict leaves; "" if that is noise."""
     if not (why := cause_of_remainder(report)):
         return ""
     error = f"{number(report.left)} times the sensors' noise ({largest_position_error(report.after)})"
@@ -175,7 +176,7 @@ def _remainder(report: Report) -> str:
 
 
 def dependence_sentences(report: Report) -> list[str]:
-    """Return a sentence about sensors that deviate alone, or about the variable that explains most of the force."""
+    """Return a sentence about sensors that deviate alone, or the variable that explains most of the force."""
     if sensors := report.residual.sensors:
         return [_DEVIATING.format(" and ".join(sensors), "s" if len(sensors) == 1 else "")]
     sentences = []

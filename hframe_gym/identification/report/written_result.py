@@ -32,16 +32,16 @@ def write_result(
 ) -> Report:
     """Write the result of an identification to a folder; `build_report` then adds the plots and report.html.
 
-    The files are report.json; declared.json, before.json and machine.json (the machine as declared, refitted, and with
-    effects); plain.json (that of the plain fit); evidence.npz (`ResultCurves`); next_experiment.csv, if a run is
-    proposed. They appear together or not at all.
+    The files are report.json; declared.json, before.json and machine.json (the machine as declared, refitted,
+    and with effects); plain.json (that of the plain fit); evidence.npz (`ResultCurves`); next_experiment.csv,
+    if a run is proposed. They appear together or not at all.
 
     Args:
         result: Result of an identification: machines, selected effects and fitted runs.
         folder: Folder to write to; created if it does not exist.
         warnings: Findings about the recordings, one line of text each, for `warnings` in report.json.
-        formulas: Formulas that may replace each table (force interpolated over one variable) of the machine, with their
-            errors, for `proposed_formulas` in report.json.
+        formulas: Formulas that may replace each table (force interpolated over one variable) of the machine,
+            with their errors, for `proposed_formulas` in report.json.
         files: Files of the recordings, for `made` in report.json, which tells where the result comes from.
 
     Returns:

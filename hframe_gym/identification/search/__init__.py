@@ -1,1 +1,1 @@
-"""The search for what a machine lacks: effects of the library, tables over one variable, delays of the drives."""
+"""The search for what a machine lacks: library effects, tables over one variable, drive delays."""

@@ -1,6 +1,7 @@
 """Find effects in the fitted runs, and let the held-out runs check them; they can only remove effects.
 
-`find_effects` refits the machine and searches (`search_effects`: propose, fit, gather evidence, judge, repeat).
+`find_effects` refits the machine and searches (`search_effects`: propose, fit, gather evidence, judge,
+repeat).
 """
 
 from __future__ import annotations
@@ -71,7 +72,8 @@ class CheckedOutcome(NamedTuple):
         differing: Names of those that contradict the machine which explains the fitted runs.
         messages: What the user should know about the division of the runs, one sentence each.
         plain: Plain fit to the fitted runs, if there is one.
-        hint: What the user should know if the fitted and the held-out runs contradict each other; a sentence, or "".
+        hint: What the user should know if the fitted and the held-out runs contradict each other; a sentence,
+            or "".
     """
 
     outcome: SearchOutcome
@@ -95,14 +97,15 @@ class CheckedOutcome(NamedTuple):
         return (*remarks, *map(_HELD_OUT_CONTRADICTION.format, self.differing), *hints)
 
     def without_run(self, name: str) -> CheckedOutcome:
-        """Return the outcome of a search in the other runs, with the name of the run that was left out before it."""
+        """Return the outcome of a search in the other runs, with the name of the run left out."""
         return self._replace(outcome=self.outcome._replace(contradiction=name))
 
     def comparable_runs(self, all_runs: Dataset) -> Dataset:
         """Return the fitted, held-out and contradictory runs.
 
         Args:
-            all_runs: All runs, prepared for a fit. Those that were used replace them, with estimated voltages.
+            all_runs: All runs, prepared for a fit. Those that were used replace them, with estimated
+                voltages.
         """
         used = {run.name: run for run in (*self.outcome.data.runs, *self.held_out.runs)}
         names = [*used, self.outcome.contradiction]
@@ -123,15 +126,15 @@ def find_effects(
 ) -> CheckedOutcome:
     """Refit a machine and find the effects (deviations from the nominal model) that it lacks.
 
-    They are searched for in the runs that are not held out. The held-out runs remove those that they do not confirm.
-    Then a delay of the drives is looked for, which the observer of the search hides.
+    They are searched for in the runs that are not held out. The held-out runs remove those that they do not
+    confirm. Then a delay of the drives is looked for, which the observer of the search hides.
 
     Args:
         machine: Machine as declared.
         all_runs: All runs, prepared for a fit.
         held_names: Names of the runs that are held out.
-        may_exchange: Whether other runs may be held out to look for a hint, if the held-out runs contradict the fitted
-            ones.
+        may_exchange: Whether other runs may be held out to look for a hint, if the held-out runs contradict
+            the fitted ones.
         budget: Processor time after which the search ends.
         before_search: Called before each search with the plain fit, the fitted and the held-out runs.
     """
@@ -149,7 +152,7 @@ def find_effects(
 def _with_input_timing(
     outcome: SearchOutcome, held_out: Dataset, criteria: SelectionCriteria, log: LineLog, budget: Budget
 ) -> SearchOutcome:
-    """Return an outcome with a delay or lag of the drives if there is one; as it is where the budget ends before."""
+    """Return an outcome with a drive delay or lag if there is one; unchanged where the budget ends before."""
     try:
         with budget.limiting(LAST_STAGE_END):
             return with_input_timing(outcome, held_out, criteria, log)
@@ -163,7 +166,8 @@ class _Runs(NamedTuple):
     Attributes:
         fitted: Runs to fit, or a representative part of their rows, with lost voltages estimated.
         held_out: Runs that are held out, with lost voltages estimated.
-        all_rows: All rows of the runs to fit, as far as they are not too many, if `fitted` has a part of them.
+        all_rows: All rows of the runs to fit, as far as they are not too many, if `fitted` has a part of
+            them.
         refitted: Machine refitted to `fitted` at `SEARCH_BANDWIDTH`.
         voltages: Voltages as logged, of each run to fit by its name.
         left_out: Name of the run that alone differs from the others and is not fitted, if there is one.
@@ -247,7 +251,7 @@ class _RunSearch:
                 voltages = voltages.after(change)
 
     def _with_voltages(self, voltages: _Voltages, runs: _Runs, agreeing: Sequence[str]) -> CheckedOutcome:
-        """Interpolate the voltages as assumed, fit plainly, and search; `agreeing`: runs that contradict no others."""
+        """Interpolate voltages as assumed, fit plainly, and search; `agreeing`: runs that contradict none."""
         per_row, logged = voltages.updates.per_row, runs.voltages
         if per_row > 1:
             changes = voltages.updates.describe(self._machine.commands_in_words, runs.fitted.period)
@@ -269,7 +273,7 @@ class _RunSearch:
         return found if runs.left_out is None else found.without_run(runs.left_out)
 
     def _divided(self, held_names: Sequence[str]) -> _Runs:
-        """Return the runs to fit and those held out, without one that alone differs, and the refitted machine."""
+        """Return the runs to fit and to hold out, without a lone deviating one, and the refitted machine."""
         machine, all_runs, log, budget = self._machine, self._all_runs, self._log, self._budget
         fitted_names = [run.name for run in all_runs.runs if run.name not in held_names]
         held_out, excluded = with_known_positions(all_runs.with_runs(held_names))
@@ -323,7 +327,7 @@ class _RunSearch:
     def _found(
         self, runs: _Runs, plain: PlainFit | None, selected: tuple[SelectedEffect, ...]
     ) -> CheckedOutcome:
-        """Search in the fitted runs or a part of them, fit to all rows what is found, and compare with held-out runs.
+        """Search in fitted runs or a part of them, fit findings to all rows, and compare with held-out runs.
 
         Args:
             runs: The runs.
@@ -368,7 +372,7 @@ def _without_run(data: Dataset, name: str) -> Dataset:
 def _different_run(
     refitted: Fit, data: Dataset, held_out: Dataset, criteria: SelectionCriteria
 ) -> str | None:
-    """Return the name of the fitted run that alone needs another value of a quantity, if the fitted ones are too few.
+    """Return the name of the fitted run that alone needs another value of a quantity, if these are too few.
 
     Of two runs that disagree, either may be wrong; a held-out run that agrees with one of them says which.
     """
@@ -383,10 +387,10 @@ def _different_run(
 def _interpolated(voltages: _Voltages, runs: _Runs, agreeing: Sequence[str], log: LineLog) -> _Runs:
     """Return the runs with interpolated voltages, without the rows of which the search needs none.
 
-    How the predictions respond to errors of the voltages follows from a machine that is fitted to these runs. A fit
-    that does not allow for these errors takes the motion that they cause for friction. A machine that was fitted
-    with them is therefore not fitted again without them. The errors of voltages between all rows of a long log
-    would need too much memory.
+    How the predictions respond to errors of the voltages follows from a machine that is fitted to these runs.
+    A fit that does not allow for these errors takes the motion that they cause for friction. A machine that
+    was fitted with them is therefore not fitted again without them. The errors of voltages between all rows
+    of a long log would need too much memory.
     """
     machine, updates = voltages.responding, voltages.updates.per_row
     data, held_out, _ = with_lost_voltages(
@@ -400,7 +404,7 @@ def _interpolated(voltages: _Voltages, runs: _Runs, agreeing: Sequence[str], log
 
 
 def _start(machine: Machine, data: Dataset, plain: PlainFit | None, log: LineLog) -> Machine:
-    """Return the machine from which the refit starts: as declared, or with inertia and friction of the plain fit."""
+    """Return the refit's first machine: as declared, or with the plain fit's inertia and friction."""
     start = better_start(machine, data, plain)
     if start is not machine:
         values, declared = start.parameters, machine.parameters
@@ -420,7 +424,7 @@ def _contradicting_runs(outcome: SearchOutcome, held_out_runs: Dataset) -> tuple
 def exchanged_if_better(
     found: CheckedOutcome, search_without: Callable[[Sequence[str]], CheckedOutcome], log: LineLog
 ) -> CheckedOutcome:
-    """Search with other runs held out where the held-out runs contradict the fitted ones, and decide what holds.
+    """Search with other runs held out where the held-out ones contradict the fitted; decide what holds.
 
     Args:
         found: Outcome of the first search.
@@ -428,8 +432,8 @@ def exchanged_if_better(
         log: Called with a line of text for each decision.
 
     Returns:
-        The outcome of the second search if its held-out runs confirm it; otherwise the first one, with a hint if the
-        second one explains all runs.
+        The outcome of the second search if its held-out runs confirm it; otherwise the first one, with a hint
+        if the second one explains all runs.
     """
     others = _runs_to_exchange(found, log)
     if not others:
@@ -444,7 +448,7 @@ def exchanged_if_better(
 
 
 def _runs_to_exchange(found: CheckedOutcome, log: LineLog) -> list[str]:
-    """Return the fitted runs to hold out instead, if every held-out run contradicts the fitted ones; otherwise none.
+    """Return the fitted runs to hold out instead, if every held-out run contradicts the fitted, or none.
 
     Either something was wrong with the held-out runs, or only they excite an effect.
     """
@@ -490,9 +494,10 @@ def _hint(found: CheckedOutcome, exchanged: CheckedOutcome) -> str:
 def without_unconfirmed(outcome: SearchOutcome, held_out: Dataset, log: LineLog) -> SearchOutcome:
     """Remove effects that do not reduce the error of the held-out runs, weakest first.
 
-    The held-out runs can only remove an effect here, never add or change one. An effect that they do not excite is
-    kept: the fitted runs, left out one by one (`leave_one_out_gain`), have confirmed it. If each effect reduces their
-    error but all together make their simulation worse than without effects, the weakest is removed as well.
+    The held-out runs can only remove an effect here, never add or change one. An effect that they do not
+    excite is kept: the fitted runs, left out one by one (`leave_one_out_gain`), have confirmed it. If each
+    effect reduces their error but all together make their simulation worse than without effects, the weakest
+    is removed as well.
 
     Args:
         held_out: Held-out runs that do not contradict the fitted ones.

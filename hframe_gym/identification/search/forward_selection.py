@@ -1,11 +1,11 @@
 """Forward selection of the effects that a machine lacks.
 
-An effect is a deviation from the nominal model, such as cogging. The best candidates of the screening are fitted
-together with the machine's parameters. The best of them is selected if it reduces chi-squared per sample by enough and
-passes the tests of `significance`; the search continues from there. At the end, effects that fail a test beside the
-others are removed. `SelectionCriteria` holds the thresholds. A gain is a reduction of chi-squared per sample. A rival
-is another effect that explains the same data equally well. An observer, which feeds the measurements back, corrects
-predictions (`model_error`).
+An effect is a deviation from the nominal model, such as cogging. The best candidates of the screening are
+fitted together with the machine's parameters. The best of them is selected if it reduces chi-squared per
+sample by enough and passes the tests of `significance`; the search continues from there. At the end, effects
+that fail a test beside the others are removed. `SelectionCriteria` holds the thresholds. A gain is a
+reduction of chi-squared per sample. A rival is another effect that explains the same data equally well. An
+observer, which feeds the measurements back, corrects predictions (`model_error`).
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ from .outcome import VoltagesChangeError
 
 
 class _Comparison(NamedTuple):
-    """What a comparison of an effect with its rivals has shown: the labels of those tried, and those that remained."""
+    """What comparing an effect with its rivals has shown: labels of those tried, and those that remained."""
 
     fitted: Fit
     data: Dataset
@@ -91,10 +91,12 @@ class EffectSearch:
     def __init__(self, data: Dataset, refitted: Machine, criteria: SelectionCriteria, log: LineLog) -> None:
         self.data, self._refitted, self._criteria, self._log = data, refitted, criteria, log
         self.considered: dict[str, ConsideredEffect] = {}
-        # Observer bandwidth and excess of chi-squared at which structural effects were tried and no effect passed.
+        # Observer bandwidth and excess of chi-squared at which structural effects were tried and no effect
+        # passed.
         self._structures_failed = (math.nan, math.inf)
         self.reached: Selection | None = None
-        # Gain of the best candidate of the last step that failed a test, and that step; its trial fit is the first.
+        # Gain of the best candidate of the last step that failed a test, and that step; its trial fit is the
+        # first.
         self._doubted: tuple[float, Step] | None = None
         # Fits with their candidates, the latest for each observer bandwidth and effects.
         self._screened: dict[tuple[float | str, ...], ScreenedFit] = {}
@@ -111,7 +113,8 @@ class EffectSearch:
             data: Prepared recordings to fit, for example with corrected zeros.
 
         Returns:
-            Search with a copy of `considered`; structural effects are tried again once the error is clearly smaller.
+            Search with a copy of `considered`; structural effects are tried again once the error is clearly
+            smaller.
         """
         search = EffectSearch(data, self._refitted, self._criteria, self._log)
         search.considered, search._structures_failed = dict(self.considered), self._structures_failed
@@ -121,11 +124,12 @@ class EffectSearch:
     def run(self, current: Fit, selected: tuple[SelectedEffect, ...] = ()) -> Selection:
         """Add effects one by one while one reduces the error enough and passes all tests.
 
-        Effects that fail one of the tests (`significance`) are added to `considered`. After each selected effect, the
-        bandwidth of the observer that corrects predictions by the measurements is chosen anew (maximum likelihood), and
-        earlier effects may be replaced by others that now explain more. If no effect passes, the best one that failed
-        is tried together with a second one, because each of two missing effects can hide the other. The search ends at
-        `max_effects` effects or when only noise of known size is left (`min_gain`).
+        Effects that fail one of the tests (`significance`) are added to `considered`. After each selected
+        effect, the bandwidth of the observer that corrects predictions by the measurements is chosen anew
+        (maximum likelihood), and earlier effects may be replaced by others that now explain more. If no
+        effect passes, the best one that failed is tried together with a second one, because each of two
+        missing effects can hide the other. The search ends at `max_effects` effects or when only noise of
+        known size is left (`min_gain`).
 
         Args:
             current: Fit of the machine with the effects selected so far.
@@ -135,8 +139,8 @@ class EffectSearch:
             Fit of the machine with all effects, and all selected effects with their fitted parameters.
 
         Raises:
-            VoltagesChangeError: If the machine with a selected effect shows that the voltages change more or less often
-                between the rows than the predictions assume.
+            VoltagesChangeError: If the machine with a selected effect shows that the voltages change more or
+                less often between the rows than the predictions assume.
         """
         criteria = self._criteria
         current, self.data = with_probable_starts(current, self.data, criteria)
@@ -152,7 +156,8 @@ class EffectSearch:
             best, selected = extended
             self.reached = best, selected
             expect_tests((len(selected) + 1) * self._seconds)  # a fit with the finest step comes before
-            # Effects beside held voltages that are not held may be false; another number of changes moves them little.
+            # Effects beside held voltages that are not held may be false; another number of changes moves
+            # them little.
             counts_again = noise_known or may_begin_again()
             if counts_again and (updates := other_updates(best, self.data, criteria)):
                 raise VoltagesChangeError(best.machine, selected, updates)
@@ -164,10 +169,11 @@ class EffectSearch:
         return current, tuple(s.with_values(current.machine) for s in selected)
 
     def start_with(self, current: Fit, known: tuple[SelectedEffect, ...]) -> Selection:
-        """Return the machine with effects that an earlier search selected, without those that do not pass here.
+        """Return the machine with effects of an earlier search, without those that do not pass here.
 
-        The earlier search assumed other voltages between the rows. Beside the others, each effect must reduce the error
-        by enough and pass the tests of a candidate, and gives way to another one that explains more.
+        The earlier search assumed other voltages between the rows. Beside the others, each effect must reduce
+        the error by enough and pass the tests of a candidate, and gives way to another one that explains
+        more.
 
         Args:
             current: Fit of the machine without these effects.
@@ -198,13 +204,14 @@ class EffectSearch:
                 selected = tuple(s.with_values(complete.machine) for s in again.values())
                 self.reached = complete, selected
                 expect_tests(seconds_spent() - began)
-                # The last one won against all others, but held voltages are another machine than interpolated ones.
+                # The last one won against all others, but held voltages are another machine than interpolated
+                # ones.
                 held_before = [*data.updates_rejected][-1:] == [1]
                 return self._settled(complete, selected, last_too=held_before)
         return current, ()
 
     def _passes_again(self, label: str, reduced: Fit, complete: Fit) -> bool:
-        """Return whether an effect of a machine passes the tests of a candidate beside the others, and log it."""
+        """Return whether a machine's effect passes a candidate's tests beside the others, and log it."""
         effect = next(e for e in complete.machine.effects if e.label == label)
         enough = self._enough(reduced)
         self._log(f"  {label} {describe_gain(reduced, complete)}")
@@ -222,7 +229,8 @@ class EffectSearch:
     ) -> Selection:
         """Return the machine at its most likely observer, after others took the place of effects and rivals.
 
-        The last effect has won against all others, but at another observer: a narrower one shows more of what is slow.
+        The last effect has won against all others, but at another observer: a narrower one shows more of what
+        is slow.
         """
         current = fit_with_model_error(best, self.data)
         last_too = last_too or current.bandwidth != best.bandwidth
@@ -234,7 +242,7 @@ class EffectSearch:
         return current, selected
 
     def _extended(self, selected: tuple[SelectedEffect, ...], without: Fit, trials: list[Fit]) -> Selection:
-        """Return the first trial fit, and the selected effects with its effect and the rivals among the others."""
+        """Return the first trial fit, and selected effects with its effect and the rivals among others."""
         gain = without.cost - trials[0].cost
         effect = trials[0].machine.effects[-1]
         variance = partial(long_run_variance, trials[0], effect.label, self.data)
@@ -243,11 +251,12 @@ class EffectSearch:
         return trials[0], (*selected, new)
 
     def _next_pair(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection | None:
-        """Return the machine with two more effects, the first of which passes all tests only beside the second.
+        """Return the machine with two more effects, of which the first passes only beside the second.
 
-        Of two effects with similar forces, the smaller one does not exceed the force that remains unexplained, and the
-        parameters of the machine may compensate for the larger one until the smaller one is there. None if there is no
-        such pair, or if the error is so small that it may be that of a residue without a name.
+        Of two effects with similar forces, the smaller one does not exceed the force that remains
+        unexplained, and the parameters of the machine may compensate for the larger one until the smaller one
+        is there. None if there is no such pair, or if the error is so small that it may be that of a residue
+        without a name.
         """
         data, criteria, doubted = self.data, self._criteria, self._doubted
         if doubted is None or not judge.is_worth_searching_pairs(current.error, len(selected), criteria):
@@ -268,12 +277,12 @@ class EffectSearch:
         return best, extended
 
     def _next_effect(self, current: Fit) -> Step | None:
-        """Return the fit without the next effect, and trial fits with one effect each, the selected one first.
+        """Return the fit without the next effect, and trial fits with one effect each, that selected first.
 
-        An observer hides slow errors, such as those of a missing constant force. If no effect passes, the next narrower
-        one is tried; the effect must then make up for its lower likelihood. If much is left in simulation, narrower
-        ones follow, up to the simulation, as long as the model nearly explained the data with the one before; the
-        effect must then explain what is left.
+        An observer hides slow errors, such as those of a missing constant force. If no effect passes, the
+        next narrower one is tried; the effect must then make up for its lower likelihood. If much is left in
+        simulation, narrower ones follow, up to the simulation, as long as the model nearly explained the data
+        with the one before; the effect must then explain what is left.
         """
         self._doubted, criteria = None, self._criteria
         found = self._passing(current, self._enough(current), structures=True)
@@ -297,7 +306,7 @@ class EffectSearch:
         return found if judge.explains_alone(simulated.error, best_error(trials), criteria) else None
 
     def _with_candidates(self, current: Fit, earlier: tuple[SelectedEffect, ...] = ()) -> ScreenedFit:
-        """Return a fit with its candidates; with those of some effects, which they may replace, if not known yet."""
+        """Return a fit with its candidates; with those of effects they may replace, if not known yet."""
         known = self._screened.get(_effects_and_observer(current))
         if known is not None and known.screening.fit is current and known.screening.data is self.data:
             return known
@@ -314,7 +323,7 @@ class EffectSearch:
         return enough_gain(fitted.error, self._criteria, voltages_known=not self.data.has_voltage_errors)
 
     def _passing(self, current: Fit, enough: float, *, structures: bool = False) -> Step | None:
-        """Return a fit, and trial fits with one more effect, the one that passes all tests first; None if none does."""
+        """Return a fit, and trial fits with one more effect, first the one that passes all tests, or None."""
         data, criteria = self.data, self._criteria
         screened = self._with_candidates(current) if math.isfinite(current.cost) else None
         trials = trial_fits(current, data, enough, criteria, screened)
@@ -330,7 +339,7 @@ class EffectSearch:
         return current, selected_first(best, trials)
 
     def _worth_structures(self, current: Fit, trials: list[Fit]) -> bool:
-        """Return whether to try effects that replace a part of the model as well (`judge.is_worth_structures`)."""
+        """Return whether to try effects that replace a part of the model (`judge.is_worth_structures`)."""
         best = best_error(trials)
         definitions = [t.machine.effects[-1].definition for t in trials if t.error == best]
         remembers = any(d.force is not None and d.next_state is not None for d in definitions)
@@ -402,11 +411,11 @@ class EffectSearch:
     ) -> tuple[SelectedEffect, ...]:
         """Add to the rivals of each selected effect those that these runs may not distinguish from it.
 
-        The trial fits of the search show rivals only among the few best candidates of one step. Here all candidates are
-        compared with the effect, to first order, in the machine with all other effects; `settle_rivals` then fits those
-        that may take its place. An effect may do so if the increase of chi-squared is no more than chance causes. That
-        is doubled, because the comparison is of first order. Those that only unknown voltages tell from the effect are
-        added in any case.
+        The trial fits of the search show rivals only among the few best candidates of one step. Here all
+        candidates are compared with the effect, to first order, in the machine with all other effects;
+        `settle_rivals` then fits those that may take its place. An effect may do so if the increase of
+        chi-squared is no more than chance causes. That is doubled, because the comparison is of first order.
+        Those that only unknown voltages tell from the effect are added in any case.
 
         Args:
             current: Fit of the machine with all selected effects.
@@ -432,12 +441,12 @@ class EffectSearch:
         return tuple(extended)
 
     def settle_rivals(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
-        """Compare each selected effect with its rivals again, in a machine that has all other selected effects.
+        """Compare each selected effect with its rivals again, in a machine with all other selected effects.
 
-        Rivals of an effect explained the data about equally well when it was selected, while effects were missing and
-        an observer hid differences. Each rival now takes its place. If chance does not explain the difference, the most
-        likely rival replaces the effect, and the comparison starts again; rivals that are clearly less likely are
-        dropped. `rivals_in_combination` adds possible rivals.
+        Rivals of an effect explained the data about equally well when it was selected, while effects were
+        missing and an observer hid differences. Each rival now takes its place. If chance does not explain
+        the difference, the most likely rival replaces the effect, and the comparison starts again; rivals
+        that are clearly less likely are dropped. `rivals_in_combination` adds possible rivals.
 
         Args:
             current: Fit of the machine with all selected effects.
@@ -481,13 +490,13 @@ class EffectSearch:
         return current, tuple(s.with_values(current.machine) for s in settled)
 
     def _most_likely(self, current: Fit) -> Fit:
-        """Return `most_likely_fit` of a fit, which takes long and is asked for again; the latest one is remembered."""
+        """Return `most_likely_fit` of a fit, which takes long and is reused; the latest one is kept."""
         if self._likely is None or self._likely[0] is not current or self._likely[1] is not self.data:
             self._likely = current, self.data, most_likely_fit(current, self.data)
         return self._likely[2]
 
     def polished(self, current: Fit) -> Fit:
-        """Return a fit with the shortest integration step (`polish`); a comparison with rivals may have found it.
+        """Return a fit with the shortest integration step (`polish`); a comparison may have found it.
 
         Args:
             current: Fit of the machine with all selected effects.
@@ -499,9 +508,9 @@ class EffectSearch:
     def prune(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
         """Remove effects that later effects have made superfluous; `considered` lists them.
 
-        Each effect is tested beside all other selected effects, the one with the smallest gain first. It is kept if it
-        clearly reduces the error and passes all tests of `significance`, or if another effect requires it or acts on a
-        coordinate that it adds. After a removal, the others are tested again.
+        Each effect is tested beside all other selected effects, the one with the smallest gain first. It is
+        kept if it clearly reduces the error and passes all tests of `significance`, or if another effect
+        requires it or acts on a coordinate that it adds. After a removal, the others are tested again.
 
         Args:
             current: Fit of the machine with all selected effects; its observer bandwidth is used throughout.
@@ -530,7 +539,7 @@ class EffectSearch:
 
 
 def _undivided(error: FitError, data: Dataset) -> FitError:
-    """Return an error of which all may be that of a missing effect, if the share of unknown voltages is not known."""
+    """Return an error of which all may be a missing effect's, if the share of unknown voltages is unknown."""
     return dataclasses.replace(error, floor=0.0) if data.has_voltage_errors else error
 
 

@@ -1,10 +1,11 @@
 """Find a delay or lag of the drives that the observer of the search hides.
 
-A machine that lacks forces of unknown size is compared with the measurements by an observer of 60 rad/s. It passes slow
-errors and suppresses fast ones. A delay of a fraction of a sampling period changes the motion only for moments after a
-change of the voltage, so that slow forces without a name bury its benefit, however certain it is. Unlike a small force,
-it cannot be a substitute for them: its force follows from the known voltages and from one parameter. Such effects are
-therefore judged by a wider observer, at which what a delay explains is fast.
+A machine that lacks forces of unknown size is compared with the measurements by an observer of 60 rad/s. It
+passes slow errors and suppresses fast ones. A delay of a fraction of a sampling period changes the motion
+only for moments after a change of the voltage, so that slow forces without a name bury its benefit, however
+certain it is. Unlike a small force, it cannot be a substitute for them: its force follows from the known
+voltages and from one parameter. Such effects are therefore judged by a wider observer, at which what a delay
+explains is fast.
 """
 
 from __future__ import annotations
@@ -42,8 +43,8 @@ def with_input_timing(
 ) -> SearchOutcome:
     """Add a delay or lag of the drives to the effects that a search found, if the fitted runs confirm it.
 
-    It is tried where effects explain most of the error, but leave forces of unknown size. Judged by an observer whose
-    bandwidth times the sampling period is 0.3, an effect is added if it passes these tests:
+    It is tried where effects explain most of the error, but leave forces of unknown size. Judged by an
+    observer whose bandwidth times the sampling period is 0.3, an effect is added if it passes these tests:
 
     - This observer is more likely than that of the search (60 rad/s): the sensors resolve fast errors.
     - The effect is fast: it removes a larger fraction of the error than with the observer of the search.
@@ -60,8 +61,8 @@ def with_input_timing(
         log: Called with a line of text for an effect that is tried.
 
     Returns:
-        Outcome with one more effect, or with the effect among those that failed a test; `outcome` itself if none is
-        tried.
+        Outcome with one more effect, or with the effect among those that failed a test; `outcome` itself if
+        none is tried.
     """
     after, selected = outcome.after, outcome.selected
     wide = _RATE / outcome.data.period
@@ -118,10 +119,10 @@ def _complete_trials(current: Fit, data: Dataset) -> Iterator[Fit]:
 
 
 def _held_out_gain(best: Fit, held_out: Dataset) -> float:
-    """Return the fraction of the error of the held-out runs that the last effect removes; infinite without runs.
+    """Return the fraction of the held-out runs' error that the last effect removes; infinite without runs.
 
-    Every run that moves excites a delay, so that none is kept because it changes the held-out runs too little to tell:
-    a delay of 4 us, which imitated a small part of a missing force, had been named.
+    Every run that moves excites a delay, so that none is kept because it changes the held-out runs too little
+    to tell: a delay of 4 us, which imitated a small part of a missing force, had been named.
     """
     if not held_out.runs:
         return math.inf

@@ -1,4 +1,4 @@
-"""The search for a machine that explains some runs: refit, effects of the library, then tables, and the verdict."""
+"""The search for a machine that explains some runs: refit, library effects, then tables, and the verdict."""
 
 from __future__ import annotations
 
@@ -95,7 +95,8 @@ class ModelSearch:
         self._known = known
         self._data, self._criteria, self._log = data, criteria, log
         self._data_after = data  # with the initial states and zeros that follow from the machine with effects
-        # What takes long: fits refined in simulation, and the runs with the starts and zeros that follow from a fit.
+        # What takes long: fits refined in simulation, and the runs with the starts and zeros that follow from
+        # a fit.
         self._refinements: dict[Fit, Fit] = {}
         self._data_of_fits: dict[tuple[Fit, Dataset], Dataset] = {}
         self._searches: list[EffectSearch] = []  # one after the other
@@ -120,7 +121,7 @@ class ModelSearch:
 
     @cached_property
     def selection(self) -> Selection:
-        """Machine with the effects that are selected one after the other; they are not yet tested beside each other."""
+        """Machine with effects that are selected one by one, not yet tested beside each other."""
         self._log("searching for effects")
         search, start = self._first_search, (self.before, ())
         return search.run(*(search.start_with(self.before, self._known) if self._known else start))
@@ -143,7 +144,7 @@ class ModelSearch:
         return self._outcome("effect_found", self._with_rivals(tabled)) if tabled else self._partial(found)
 
     def fitted(self, found: SearchOutcome) -> SearchOutcome:
-        """Return the outcome of effects and tables that were found in a part of the rows, fitted to all of them.
+        """Return the outcome of effects and tables found in a part of the rows, fitted to all of them.
 
         Args:
             found: Outcome of a search in a part of the rows.
@@ -164,14 +165,15 @@ class ModelSearch:
         return self._partial(complete)
 
     def finished_early(self, tests: Budget, last_fit: Budget) -> SearchOutcome:
-        """Return the outcome of an ended budget: of the effects selected by then, those that pass the final tests.
+        """Return the outcome of an ended budget: of effects selected by then, those that pass final tests.
 
         None is kept if the time for the tests ends before them.
 
         Args:
-            tests: Part of the budget for these tests, with fits in simulation of effects that leave an error. What is
-                left of it at the end is spent on comparing the effects with all others.
-            last_fit: Part for the last fits of what passes. If it ends, the best parameters so far are delivered.
+            tests: Part of the budget for these tests, with fits in simulation of effects that leave an error.
+                What is left of it at the end is spent on comparing the effects with all others.
+            last_fit: Part for the last fits of what passes. If it ends, the best parameters so far are
+                delivered.
         """
         found, decision = self._tested_early(tests)
         with last_fit.limiting(delivers=True):
@@ -187,7 +189,7 @@ class ModelSearch:
         return outcome
 
     def _tested_early(self, tests: Budget) -> tuple[Found, Decision | None]:
-        """Return the effects that pass the tests, and the decision about them; none where the tests do not end.
+        """Return the effects that pass the tests, and the decision; none if the tests do not end.
 
         Where the search had not reached the effects that an earlier one selected, these are tested.
         """
@@ -214,7 +216,7 @@ class ModelSearch:
         return Found(self.before, (), rejected), None
 
     def _decided(self, found: Found) -> SearchOutcome | None:
-        """Return the outcome if a table cannot change it: effects explain the data, or only imitate a drift."""
+        """Return the outcome if no table can change it: effects explain the data, or imitate a drift."""
         decision = self._verdict_of_effects(found)
         return decision and self._decide(decision, found)
 
@@ -253,13 +255,13 @@ class ModelSearch:
     def _removed(
         self, after: Fit, effects: tuple[SelectedEffect, ...], reason: str
     ) -> tuple[ConsideredEffect, ...]:
-        """Log that effects are removed, and return them as considered; the reason is a clause that follows "it "."""
+        """Log that effects are removed, and return them as considered; the reason follows "it "."""
         for s in effects:
             self._log(f"  {s.effect.label} is removed: it {reason}")
         return tuple(ConsideredEffect(s.effect, after.machine, self.before.machine, reason) for s in effects)
 
     def _imitated_drift(self, after: Fit) -> str:
-        """Return the name of the parameter that differs from run to run, if effects only imitate it; otherwise ""."""
+        """Return the name of the parameter that differs by run, if effects only imitate it, else ""."""
         declared = {e.label for e in self.before.machine.effects}
         named = [e for e in after.machine.effects if e.label not in declared]
         over_time = [e for e in named if _may_differ_by_run(e.definition)]
@@ -298,7 +300,7 @@ class ModelSearch:
 
     @cached_property
     def _difference(self) -> RunDifferences | None:
-        """The parameter that differs from run to run and explains the runs without effects, if there is one."""
+        """The parameter that differs by run and explains the runs without effects, if there is one."""
         difference = find_run_differences(self.before, self._data, self._criteria)
         if difference is not None:
             self._log(f"{difference.quantity.name} differs between the runs")
@@ -313,7 +315,8 @@ class ModelSearch:
     def runs_differ(self) -> bool:
         """Whether a parameter that differs from run to run explains the runs, as no effect or table can.
 
-        A table over time may explain a parameter that drifts. If a single run differs, the others may have effects.
+        A table over time may explain a parameter that drifts. If a single run differs, the others may have
+        effects.
         """
         return self._difference is not None and not self._drifts and self._difference.different_run is None
 
@@ -323,9 +326,10 @@ class ModelSearch:
         return self._difference is not None and self._difference.drifts
 
     def _within_limits(self, found: Found, search: EffectSearch | None = None) -> Found:
-        """Remove effects that the final fit moves to a limit of their range, and those that fail without them.
+        """Remove effects that the final fit moves to a range limit, and those that fail without them.
 
-        The search asks the same of its own fit, with an observer, from which the final one in simulation may differ.
+        The search asks the same of its own fit, with an observer, from which the final one in simulation may
+        differ.
         """
         for s in found.effects:
             if s.effect.definition.family == TABLE_FAMILY:
@@ -344,7 +348,7 @@ class ModelSearch:
         return found
 
     def _outcome(self, verdict: Verdict, found: Found) -> SearchOutcome:
-        """Return the outcome, with machines that are fitted again: in simulation, and run by run, if that is better."""
+        """Return the outcome, with machines fitted again, in simulation and run by run, if that is better."""
         # A refined fit may be its own refinement as well; the search judged the first one.
         of_search = (fitted for fitted, refined in self._refinements.items() if refined is found.fitted)
         judged = next(of_search, found.fitted)
@@ -363,7 +367,7 @@ class ModelSearch:
         )
 
     def _final(self, fitted: Fit) -> Fit:
-        """Return a fit refined in simulation and, if it explains the data, with the observer that each run requires.
+        """Return a fit refined in simulation and, if it explains the data, with each run's observer.
 
         Logs that are slower than the controller are fitted by instruments, if that is better.
         """
@@ -414,7 +418,8 @@ class ModelSearch:
             return Found(current, (), tuple(search.considered.values()))
         search.reached = current, effects
         if not nearly_explains(current.error, criteria):
-            # Few effects of a machine that is far from explaining the runs are named. Rivals of others do not matter.
+            # Few effects of a machine that is far from explaining the runs are named. Rivals of others do not
+            # matter.
             found = self._passed = self._tested(search, current, effects)
             if self._verdict(found)[0] != "effect_found":
                 return found
@@ -432,7 +437,8 @@ class ModelSearch:
         spend("testing each effect beside the others")
         current, effects = search.prune(search.polished(current), effects)
         simulated = self._refined(current)
-        # Without the error that an observer causes, unless the simulation leaves more than the observer corrects.
+        # Without the error that an observer causes, unless the simulation leaves more than the observer
+        # corrects.
         accurate = self._explains(simulated) or not self._explains(current)
         if simulated.bandwidth == SIMULATION != current.bandwidth and accurate:
             current, effects = search.prune(simulated, effects)
@@ -440,7 +446,7 @@ class ModelSearch:
         return self._without_imitations(found, search)
 
     def _without_imitations(self, found: Found, search: EffectSearch) -> Found:
-        """Remove effects that only imitate a parameter which differs from run to run; others must hold without them.
+        """Remove effects that only imitate a parameter differing by run; others must hold without them.
 
         Alone, they are removed by the verdict, unless a table over time may take their place.
         """
@@ -495,7 +501,7 @@ class ModelSearch:
         return tabled._replace(effects=tuple(by_label.get(s.effect.label, s) for s in tabled.effects))
 
     def _in_place_of_curves(self, found: Found) -> Found | None:
-        """Return a model with a table in place of effects of one variable that only imitate a curve of another form."""
+        """Return a model with a table in place of effects of one variable that imitate another curve."""
         after = found.fitted
         curves = curves_of_one_variable([s.effect for s in found.effects], after.machine)
         if not curves or not self._explains(after) or self.runs_differ:
@@ -516,7 +522,7 @@ class ModelSearch:
         return tabled if is_one_curve(self._simulated_cost(tabled.fitted), left) else None
 
     def _tabled(self, known: Found, count: int) -> Found | None:
-        """Return a fit with up to `count` tables added to known effects; None if no table passes the tests."""
+        """Return a fit with up to `count` tables added to known effects; None if none passes the tests."""
         fitted, more = add_tables(
             known.fitted,
             known.effects,

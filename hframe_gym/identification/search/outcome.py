@@ -36,17 +36,18 @@ class SearchOutcome(NamedTuple):
     Attributes:
         before: Fit of the refitted machine, without effects.
         before_explains: Whether that machine explains the data.
-        explained: Whether the machine with the effects explains the data, or unknown voltages between the rows may
-            cause all that it leaves.
+        explained: Whether the machine with the effects explains the data, or unknown voltages between the
+            rows may cause all that it leaves.
         verdict: "effect_found", "no_effect" or "unexplained".
         after: Fit of the machine with the effects.
         selected: The selected effects.
         considered: Effects that reduced the error of the fitted runs but failed a test.
         data: Runs that the machines were fitted to.
-        contradiction: Name of the run that was left out because it contradicts the others; None if all were used.
+        contradiction: Name of the run that was left out because it contradicts the others; None if all were
+            used.
         unfinished: What the search did when its budget ended, in words; "" if it is complete.
-        bandwidth: Bandwidth of the observer with which the search judged effects, rad/s; `after` may have been fitted
-            in simulation since.
+        bandwidth: Bandwidth of the observer with which the search judged effects, rad/s; `after` may have
+            been fitted in simulation since.
     """
 
     before: Fit

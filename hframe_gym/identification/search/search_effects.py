@@ -41,30 +41,32 @@ def search_effects(
 ) -> SearchOutcome:
     """Refit a machine and search for the effects (deviations from the nominal model) that it lacks.
 
-    One run, the suspect, may contradict the others because of a mistake, or because it excites a missing effect more.
-    Effects are first searched for without the suspect, unless all runs differ from each other in one parameter. The
-    suspect is then left out and named in the outcome (`contradiction`), unless one of these conditions holds:
+    One run, the suspect, may contradict the others because of a mistake, or because it excites a missing
+    effect more. Effects are first searched for without the suspect, unless all runs differ from each other in
+    one parameter. The suspect is then left out and named in the outcome (`contradiction`), unless one of
+    these conditions holds:
 
-    - The effects found without the suspect explain all runs. Or they explain the other runs, no single parameter with
-      another value in the suspect explains it, and with one more effect they explain all runs.
-    - These effects do not explain the other runs, but the effects found in all runs explain all runs, or leave less
-      than ten times the chi-squared per sample of the search without the suspect.
+    - The effects found without the suspect explain all runs. Or they explain the other runs, no single
+      parameter with another value in the suspect explains it, and with one more effect they explain all runs.
+    - These effects do not explain the other runs, but the effects found in all runs explain all runs, or
+      leave less than ten times the chi-squared per sample of the search without the suspect.
 
     Args:
         machine: Machine as declared.
-        confirmed: Function that returns whether the held-out runs confirm an outcome from which a suspect was left out.
-            If it returns False, the outcome of a search in all runs is returned. Default: it returns True.
-        budget: Processor time after which the search ends. The refit of the machine is always completed. Default: the
-            search ends by itself.
+        confirmed: Function that returns whether the held-out runs confirm an outcome from which a suspect was
+            left out. If it returns False, the outcome of a search in all runs is returned. Default: it
+            returns True.
+        budget: Processor time after which the search ends. The refit of the machine is always completed.
+            Default: the search ends by itself.
         ends: Parts of it after which search and tests end. Default: those of complete runs.
         refitted: Fit of the machine to these runs at `SEARCH_BANDWIDTH`, if it is known already.
         known: Effects that a search with other voltages between the rows selected; they must pass again.
 
     Returns:
-        Verdict, fits of the machine without and with the effects, and the selected and the rejected effects. If the
-        budget ended: of what was selected until then, tested like everything else, without tables; without a suspect if
-        that was found to explain the other runs and is confirmed, else in all runs. What there is no time to test is
-        not selected.
+        Verdict, fits of the machine without and with the effects, and the selected and the rejected effects.
+        If the budget ended: of what was selected until then, tested like everything else, without tables;
+        without a suspect if that was found to explain the other runs and is confirmed, else in all runs. What
+        there is no time to test is not selected.
     """
     searches = [ModelSearch(machine, data, criteria, log, refitted, known=known)]
     budget, ends = budget or Budget(), ends or stage_ends(machine)
@@ -78,7 +80,8 @@ def search_effects(
     last_fit = budget.until(ends.last_fit) if budget.seconds > 0.0 else Budget()
     for search in reversed(searches[1:]):
         outcome = search.finished_early(tests, last_fit)
-        # A run is only left out if one machine explains the others, and held-out runs do not contradict it as well.
+        # A run is only left out if one machine explains the others, and held-out runs do not contradict it as
+        # well.
         if outcome.explained and (confirmed is None or confirmed(outcome)):
             return outcome._replace(unfinished=budget.doing)
     return searches[0].finished_early(tests, last_fit)._replace(unfinished=budget.doing)
@@ -137,7 +140,7 @@ def _search_with_suspect(
 
 
 def _fitted_to_all(selection: Selection, data: Dataset) -> Selection:
-    """Return the machine with selected effects, fitted to all runs; effects that need another value may change it."""
+    """Return the machine with selected effects, fitted to all runs; other values may change them."""
     fitted, effects = selection
     wide = converge(continue_fit(fitted, data, SEARCH_BANDWIDTH), data, thorough=True)
     return polish(fit_with_model_error(wide, data), data), effects
@@ -146,7 +149,7 @@ def _fitted_to_all(selection: Selection, data: Dataset) -> Selection:
 def _differs_in_a_parameter(
     suspect: str, outcome: SearchOutcome, data: Dataset, criteria: SelectionCriteria
 ) -> bool:
-    """Return whether a run is explained as well as the others by another value of one parameter in this run alone."""
+    """Return whether a run is explained as well as the others by another value of a parameter in it alone."""
     difference = find_run_differences(outcome.after, data, criteria)
     if difference is None:
         return False
@@ -154,5 +157,5 @@ def _differs_in_a_parameter(
 
 
 def _wide_chi2(outcome: SearchOutcome) -> float:
-    """Return chi-squared per sample of the final machine at the largest observer bandwidth, common to all machines."""
+    """Return the final machine's chi-squared per sample at the largest observer bandwidth, common to all."""
     return prediction_cost(outcome.after.machine, outcome.data, SEARCH_BANDWIDTH) / outcome.data.count

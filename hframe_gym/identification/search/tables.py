@@ -1,9 +1,9 @@
 """Propose and add tables: a force, or a change of the Coulomb friction force, interpolated over one variable.
 
-They are the fallback for a residual that no effect of the library explains. For every coordinate, the missing force
-(the force that the model lacks) is averaged over bins of every variable; the variables that explain most of it become
-candidates. The knots of an accepted table then move to where its fitted curve bends. A table describes the residual but
-not its physical cause.
+They are the fallback for a residual that no effect of the library explains. For every coordinate, the missing
+force (the force that the model lacks) is averaged over bins of every variable; the variables that explain
+most of it become candidates. The knots of an accepted table then move to where its fitted curve bends. A
+table describes the residual but not its physical cause.
 """
 
 from __future__ import annotations
@@ -65,16 +65,16 @@ class Table(NamedTuple):
 def table_candidates(
     machine: Machine, data: Dataset, scales: TypicalScales, criteria: SelectionCriteria
 ) -> list[Candidate]:
-    """Propose the tables (forces or Coulomb friction forces over one variable) that explain most of the missing force.
+    """Propose the tables (forces or Coulomb friction over one variable) that explain most missing force.
 
-    The missing force is the force that would have to be added to the model for it to follow the measurements. A force
-    on one coordinate also appears in the missing force of the others, so the table that explains most may act on the
-    wrong coordinate. For each coordinate, the function therefore proposes several:
+    The missing force is the force that would have to be added to the model for it to follow the measurements.
+    A force on one coordinate also appears in the missing force of the others, so the table that explains most
+    may act on the wrong coordinate. For each coordinate, the function therefore proposes several:
 
     - the three best tables (`max_tables_per_coordinate`);
     - of the remaining tables, the best one over time;
-    - of the remaining tables, both over the position of the coordinate, force and friction, because fitted friction
-      parameters can hide a part of a force that depends on the position.
+    - of the remaining tables, both over the position of the coordinate, force and friction, because fitted
+      friction parameters can hide a part of a force that depends on the position.
 
     Args:
         machine: Machine with the effects that have been selected so far.
@@ -82,8 +82,8 @@ def table_candidates(
         criteria: Decision thresholds, among them `max_tables_per_coordinate`.
 
     Returns:
-        The proposed tables as candidates, grouped by coordinate, each with one basis function per knot. Tables that the
-        machine already has are left out.
+        The proposed tables as candidates, grouped by coordinate, each with one basis function per knot.
+        Tables that the machine already has are left out.
     """
     existing_labels = {effect.label for effect in machine.effects}
     variables = table_variables(machine, data)
@@ -95,7 +95,8 @@ def table_candidates(
             continue
         ranked: list[tuple[float, Table]] = []
         for name, variable in variables.items():
-            # Friction opposes the motion: to the missing force f belongs the Coulomb friction force -f sign(v).
+            # Friction opposes the motion: to the missing force f belongs the Coulomb friction force -f
+            # sign(v).
             for kind, samples in (("smooth_force", force), ("smooth_friction", -force * np.sign(velocity))):
                 fraction, knots = _explained_fraction(
                     variable, samples, symmetric=name.startswith("velocity")
@@ -110,8 +111,9 @@ def table_candidates(
 def proposed_tables(site: str, ranked: Sequence[tuple[float, Table]], count: int) -> list[Table]:
     """Choose the tables that are proposed at a coordinate.
 
-    These are the ones that explain most; the best one over time, which may explain a drift; and both over the position
-    of the coordinate, force and friction, because fitted friction can hide a part of a force over the position.
+    These are the ones that explain most; the best one over time, which may explain a drift; and both over the
+    position of the coordinate, force and friction, because fitted friction can hide a part of a force over
+    the position.
 
     Args:
         site: Name of the coordinate.
@@ -130,15 +132,16 @@ def proposed_tables(site: str, ranked: Sequence[tuple[float, Table]], count: int
 def table_variables(machine: Machine, data: Dataset) -> dict[str, Array]:
     """Return the samples of every variable that a table can depend on, over all runs in sequence.
 
-    Positions, velocities and paths are predictions that an observer corrects by the measurements at every sample.
+    Positions, velocities and paths are predictions that an observer corrects by the measurements at every
+    sample.
 
     Args:
         machine: Machine that predicts the motion.
         data: Prepared recordings with n rows in total.
 
     Returns:
-        By name, shape (n,) each: "position of C" (m or rad), "velocity of C" (m/s or rad/s) and "path of C" (distance
-        traveled since the start of the run, m or rad) for each coordinate C, and "time" (s).
+        By name, shape (n,) each: "position of C" (m or rad), "velocity of C" (m/s or rad/s) and "path of C"
+        (distance traveled since the start of the run, m or rad) for each coordinate C, and "time" (s).
     """
 
     def variables_of_run(run: PreparedRecording) -> dict[str, Array]:
@@ -156,10 +159,10 @@ def table_variables(machine: Machine, data: Dataset) -> dict[str, Array]:
 
 
 def _explained_fraction(variable: Array, samples: Array, *, symmetric: bool) -> tuple[float, Array]:
-    """Return the fraction of the sum of squares that means over bins explain, and knots, denser where the means bend.
+    """Return the fraction of square sum that means over bins explain, and knots, denser where means bend.
 
-    The fraction is in addition to what the mean over all samples explains. Symmetric knots of a table over a velocity
-    cover both directions.
+    The fraction is in addition to what the mean over all samples explains. Symmetric knots of a table over a
+    velocity cover both directions.
     """
     # Outliers do not widen the range; they count in the end bins.
     low, high = np.percentile(variable, [0.05, 99.95])
@@ -181,8 +184,8 @@ def _explained_fraction(variable: Array, samples: Array, *, symmetric: bool) -> 
         smooth = np.convolve(
             np.interp(centers, centers[usable], bin_means[usable]), [0.25, 0.5, 0.25], "same"
         )
-    # The error of linear interpolation is proportional to curvature times interval squared. A density of knots that is
-    # proportional to the root of the curvature makes it equal everywhere.
+    # The error of linear interpolation is proportional to curvature times interval squared. A density of
+    # knots that is proportional to the root of the curvature makes it equal everywhere.
     curvature = np.abs(np.gradient(np.gradient(smooth)))
     density = np.sqrt(curvature / max(float(curvature.max()), 1e-300)) + _BASE_KNOT_DENSITY
     cumulative = np.concatenate([[0.0], np.cumsum(density)])
@@ -209,13 +212,13 @@ def add_tables(
     max_tables: int,
     log: LineLog,
 ) -> Selection:
-    """Add tables (forces or Coulomb friction forces over one variable) that reduce the residual of a fitted machine.
+    """Add tables (forces or Coulomb friction over one variable) that reduce the residual of a fitted machine.
 
-    Each step ranks the proposed tables by their linearized gain (predicted reduction of chi-squared) and adds the first
-    one that passes cross-validation. For this, each run is divided into halves (into more pieces if there are fewer
-    than four runs). Each piece is predicted with parameters that are fitted to all other pieces. On average
-    (`_left_out_ratio`), these costs must be below `max_table_cross_validation` times those without the table. The gain
-    on all data must suffice as well.
+    Each step ranks the proposed tables by their linearized gain (predicted reduction of chi-squared) and adds
+    the first one that passes cross-validation. For this, each run is divided into halves (into more pieces if
+    there are fewer than four runs). Each piece is predicted with parameters that are fitted to all other
+    pieces. On average (`_left_out_ratio`), these costs must be below `max_table_cross_validation` times those
+    without the table. The gain on all data must suffice as well.
 
     Args:
         current: Fit of the machine with the effects selected so far; all fits have its observer bandwidth.
@@ -226,7 +229,8 @@ def add_tables(
 
     Returns:
         fit: Fit of the machine with the tables.
-        selected: All selected effects, the tables last, with their fitted parameters. Without a suitable table, the
+        selected: All selected effects, the tables last, with their fitted parameters. Without a suitable
+        table, the
             results are `current` and `selected` themselves.
     """
     for _ in range(max_tables):
@@ -256,17 +260,17 @@ def add_tables(
 
 
 def fit_with_moved_knots(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> Fit:
-    """Fit a machine again, and move the knots of its tables to where their curves bend while this reduces the error.
+    """Fit a machine again, and move the knots of its tables to where their curves bend while errors fall.
 
-    The missing force that proposes a table is smooth in time. Over a narrow bend it is therefore too wide and too low,
-    and its knots are too far apart there. The fitted values resolve the bend better. The number of knots, and their
-    first and last value, do not change.
+    The missing force that proposes a table is smooth in time. Over a narrow bend it is therefore too wide and
+    too low, and its knots are too far apart there. The fitted values resolve the bend better. The number of
+    knots, and their first and last value, do not change.
 
     Args:
-        fitted: Fit of the machine with its tables (forces or Coulomb friction forces over one variable); the new fit
-            has the same observer bandwidth.
-        criteria: Decision thresholds. A move must reduce chi-squared per sample by as much as an effect must, and also
-            reduce it in cross-validation.
+        fitted: Fit of the machine with its tables (forces or Coulomb friction forces over one variable); the
+            new fit has the same observer bandwidth.
+        criteria: Decision thresholds. A move must reduce chi-squared per sample by as much as an effect must,
+            and also reduce it in cross-validation.
 
     Returns:
         Fit of the same parameters, with the knots of the last confirmed move.
@@ -284,7 +288,7 @@ def fit_with_moved_knots(fitted: Fit, data: Dataset, criteria: SelectionCriteria
 
 
 def _knots_moved(fitted: Fit, label: str) -> Fit:
-    """Return the fit with other knots of one table, whose values are interpolated; its cost is not computed again."""
+    """Return the fit with a table's other knots, with interpolated values; its cost is not computed again."""
     machine = fitted.machine
     table = next(e for e in machine.effects if e.label == label)
     knots, values = (np.array([table.parameters[f"{key}{i:02d}"] for i in range(KNOTS)]) for key in "kf")
@@ -302,7 +306,7 @@ def _knots_moved(fitted: Fit, label: str) -> Fit:
 
 
 def knots_at_bends(knots: Array, values: Array, covariance: Array) -> Array:
-    """Return knots whose density follows the significant curvature of a table, from the same first to the same last.
+    """Return knots as dense as a table is significantly curved, from the same first to the same last.
 
     Args:
         knots: Increasing knots, shape (KNOTS,).
@@ -329,13 +333,13 @@ def knots_at_bends(knots: Array, values: Array, covariance: Array) -> Array:
 
 
 def _left_out_ratio(fitted: Fit, reference: Fit, data: Dataset, criteria: SelectionCriteria) -> float:
-    """Return the mean ratio of two fits' costs, each half of a run with the parameters that the other halves determine.
+    """Return the mean ratio of two fits' costs, each half of a run with parameters from the other halves.
 
-    With two dozen values, a table can fit almost any residual; one over the wrong variable fails on other data. Without
-    a whole run, values of the variable that only this run passes would not be determined. Where even half a run is the
-    only one that passes some values, the cost of this half is large. The mean is therefore geometric, which one half
-    does not dominate. The halves are weighted by their cost in the reference, because the others need no table. The
-    ratio is infinite if a machine diverges.
+    With two dozen values, a table can fit almost any residual; one over the wrong variable fails on other
+    data. Without a whole run, values of the variable that only this run passes would not be determined. Where
+    even half a run is the only one that passes some values, the cost of this half is large. The mean is
+    therefore geometric, which one half does not dominate. The halves are weighted by their cost in the
+    reference, because the others need no table. The ratio is infinite if a machine diverges.
     """
     pieces = max(2, -(-criteria.cross_validation_blocks // len(data.runs)))  # of each run; more of few runs
     costs, before = (

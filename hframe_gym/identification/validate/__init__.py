@@ -1,1 +1,1 @@
-"""Validation: the held-out runs judge what a search found, and nothing worse than a plain fit is delivered."""
+"""Validation: the held-out runs judge what a search found, and none worse than a plain fit is delivered."""

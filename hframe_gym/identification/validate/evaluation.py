@@ -1,4 +1,4 @@
-"""Evaluate what is certain of an outcome on held-out runs, and let these judge its verdict and names of effects."""
+"""Evaluate what is certain of an outcome on held-out runs, which judge its verdict and effects' names."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ _UNSTABLE = (
 def with_certain_effects(outcome: SearchOutcome, criteria: SelectionCriteria, log: LineLog) -> SearchOutcome:
     """Remove the effects that may as well be absent, given the covariance of the fitted parameters.
 
-    The least certain effect is removed first; the others may be certain without it. That inputs may act later than
-    recorded is no doubt about a delay or lag of the drives: it is what such an effect says.
+    The least certain effect is removed first; the others may be certain without it. That inputs may act later
+    than recorded is no doubt about a delay or lag of the drives: it is what such an effect says.
 
     Args:
         outcome: Outcome of a search, after the held-out runs have removed effects.
@@ -163,7 +163,8 @@ class HeldOutTest:
     ) -> UnstableMotion | None:
         """Return what is known of a machine whose motion is unstable; None if it is stable.
 
-        Where voltages between the rows are unknown, what they do to predictions is not known well enough to tell.
+        Where voltages between the rows are unknown, what they do to predictions is not known well enough to
+        tell.
 
         Args:
             model: Machine with its errors.
@@ -184,7 +185,7 @@ class HeldOutTest:
         return motion
 
     def explains_unstable_motion(self, model: ModelEvaluation, fitted: Dataset) -> bool:
-        """Return whether the error of a simulation is what an unstable motion makes of noise, by predictions as well.
+        """Return whether a simulation's error is what unstable motion makes of noise, also by predictions.
 
         Args:
             model: Machine with its errors.
@@ -256,7 +257,7 @@ class HeldOutTest:
 
 
 class HeldOutTests:
-    """Tests of one identification, which may hold out other runs, or prepare them otherwise, in a second search.
+    """Tests of one identification, which may hold out other runs, or prepare them anew, in a second search.
 
     Args:
         session: All runs, as logged and as prepared, with the declared machine.
@@ -306,7 +307,8 @@ class Judged(NamedTuple):
 
     Attributes:
         evaluated: The outcome with its machines, without effects that must not be named.
-        withdrawn: The same with the effects that the held-out runs do not permit to name; None if there are none.
+        withdrawn: The same with the effects that the held-out runs do not permit to name; None if there are
+            none.
     """
 
     evaluated: Evaluated
@@ -324,8 +326,8 @@ def judged(evaluated: Evaluated, differing: Sequence[str], log: LineLog) -> Judg
         log: Called with a line of text for each effect that is not named.
 
     Returns:
-        The outcome without effects that must not be named, with the reason if the held-out runs contradict, and the one
-        with them.
+        The outcome without effects that must not be named, with the reason if the held-out runs contradict,
+        and the one with them.
     """
     test = evaluated.test
     reason, outcome, withdrawn = test.contradiction(evaluated, differing), evaluated.outcome, None
@@ -349,7 +351,8 @@ def describe_unstable_motion(evaluated: Evaluated) -> str:
         evaluated: Outcome with the machine that is delivered.
 
     Returns:
-        Sentences; "" if an unstable motion does not explain the error of the simulation, or only noise is left.
+        Sentences; "" if an unstable motion does not explain the error of the simulation, or only noise is
+        left.
     """
     test, after, fitted = evaluated.test, evaluated.after, evaluated.outcome.data
     if not test.explains_unstable_motion(after, fitted):
@@ -359,7 +362,7 @@ def describe_unstable_motion(evaluated: Evaluated) -> str:
 
 
 def _with_ranges(evaluated: Evaluated) -> Evaluated:
-    """Return an evaluation whose refitted machine has the ranges of saturated sensors too, which need no search.
+    """Return an evaluation whose refitted machine has saturated sensors' ranges too, which need no search.
 
     Otherwise the effects of the search would be credited with what the ends of these ranges explain.
     """
@@ -374,7 +377,7 @@ def _with_ranges(evaluated: Evaluated) -> Evaluated:
 
 
 def _evidence(evaluated: Evaluated, differing: Sequence[str]) -> VerdictEvidence:
-    """Return what the held-out runs that do not contradict the fitted ones say; all of them if all contradict."""
+    """Return what the held-out runs that do not contradict the fitted ones say; all if none agrees."""
     held_out = evaluated.test.complete_runs
     agreeing = _agreeing(evaluated, differing)
 
@@ -431,8 +434,9 @@ def _agreeing(evaluated: Evaluated, differing: Sequence[str]) -> list[PreparedRe
 def _quiet(evaluated: Evaluated, runs: Sequence[PreparedRecording]) -> Dataset:
     """Return some of the held-out runs with the starts of the corrected machine and the noise at rest.
 
-    Jitter of the clock is an estimate from the motion, and a sensor that repeats its measurements may be mistaken for
-    it. So may what unknown voltages between the rows do, which counts by their own statistics, in units of this noise.
+    Jitter of the clock is an estimate from the motion, and a sensor that repeats its measurements may be
+    mistaken for it. So may what unknown voltages between the rows do, which counts by their own statistics,
+    in units of this noise.
     """
     held_out = evaluated.held_out.with_runs([run.name for run in runs])
     quiet = [
@@ -445,10 +449,11 @@ def _quiet(evaluated: Evaluated, runs: Sequence[PreparedRecording]) -> Dataset:
 def _remaining_prediction(
     evaluated: Evaluated, held_out: Dataset, bandwidth: float, floor: float = 1.0
 ) -> float:
-    """Return the fraction of the squared prediction error that effects leave, beyond that of an exact machine.
+    """Return the fraction of squared prediction error that effects leave, beyond that of an exact machine.
 
-    The observer that judges is slow enough to show what a missing force does over some tenths of a second, and fast
-    enough that its errors do not add up over the run, where parameters fitted beside a wrong effect compensate for it.
+    The observer that judges is slow enough to show what a missing force does over some tenths of a second,
+    and fast enough that its errors do not add up over the run, where parameters fitted beside a wrong effect
+    compensate for it.
     """
     after, before = (
         prediction_cost(model.machine, held_out, bandwidth, longest_step=POLISH_STEP) / held_out.count
@@ -460,7 +465,7 @@ def _remaining_prediction(
 def _with_fast_error(
     evidence: VerdictEvidence, evaluated: Evaluated, differing: Sequence[str]
 ) -> VerdictEvidence:
-    """Return the evidence with what effects leave of fast errors, and whether they remove what they should."""
+    """Return evidence with what effects leave of fast errors, and whether they remove what they should."""
     held_out = _quiet(evaluated, _agreeing(evaluated, differing))
     floor = innovation_variance(evaluated.after.machine, held_out, SEARCH_BANDWIDTH)[0]
     return dataclasses.replace(
@@ -471,7 +476,7 @@ def _with_fast_error(
 
 
 def _reduction(evaluated: Evaluated, differing: Sequence[str]) -> float:
-    """Return by how much effects reduce the squared error of predictions / by how much they do if they are right."""
+    """Return by how much effects reduce the predictions' squared error / by how much right ones do."""
     held_out = _quiet(evaluated, _agreeing(evaluated, differing))
     removed = right = 0.0
     for run in held_out.runs:

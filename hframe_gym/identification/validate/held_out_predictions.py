@@ -1,4 +1,4 @@
-"""Predict held-out runs with an observer, so that errors do not grow along the run as they do in a simulation."""
+"""Predict held-out runs with an observer, so that errors do not grow along the run as in a simulation."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from .machine_errors import ModelEvaluation
 def predictions_by_run(model: ModelEvaluation, held_out: Dataset, fitted: Dataset) -> Array:
     """Return how well a machine predicts each held-out run with the observer that judges, by sensor.
 
-    The noise is that at rest: jitter of the clock is estimated from the motion, and an error may be mistaken for it.
+    The noise is that at rest: jitter of the clock is estimated from the motion, and an error may be mistaken
+    for it.
 
     Args:
         model: Machine with the zeros of its encoders.
@@ -26,8 +27,8 @@ def predictions_by_run(model: ModelEvaluation, held_out: Dataset, fitted: Datase
         fitted: Runs that the machine was fitted to.
 
     Returns:
-        Mean squared error in units of the noise / that of an exact machine, dimensionless, shape (runs, sensors); NaN
-        if not measured, infinite if a prediction diverges.
+        Mean squared error in units of the noise / that of an exact machine, dimensionless,
+        shape (runs, sensors); NaN if not measured, infinite if a prediction diverges.
     """
     refined = refine_dataset(held_out, model.machine, fitted)
     noise = held_out.noise

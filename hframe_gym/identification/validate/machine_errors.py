@@ -32,7 +32,8 @@ class PredictionErrors:
     Attributes:
         channels: Simulation error by output channel.
         force: rms error of the drives' force by inverse dynamics / rms force; None for example with belts.
-        lacking: rms force that the machine lacks, by an observer, / rms force of the drives; None if it is not known.
+        lacking: rms force that the machine lacks, by an observer, / rms force of the drives; None if it is
+            not known.
     """
 
     channels: dict[str, ChannelError]
@@ -59,9 +60,11 @@ class ModelEvaluation:
     Attributes:
         machine: The machine.
         held_out: Errors on the held-out runs.
-        errors: Simulation errors by name of the held-out run, m or rad, NaN if not measured, shape (n, sensors).
+        errors: Simulation errors by name of the held-out run, m or rad, NaN if not measured,
+            shape (n, sensors).
         warnings: Pairs of the name of a run and a sentence about what is unknown about its initial state.
-        diverged: Names of the held-out runs on which the simulation diverges; then `held_out` has no channel errors.
+        diverged: Names of the held-out runs on which the simulation diverges; then `held_out` has no channel
+            errors.
     """
 
     machine: Machine
@@ -74,16 +77,16 @@ class ModelEvaluation:
     def deviating_sensors(self) -> tuple[str, ...]:
         """Channels whose error is no noise although other sensors of the same motion agree (`judge.sensor`).
 
-        Belts stretch little, so if a carriage moved otherwise than simulated, the encoders of the pulleys would deviate
-        as well. If only the sensor of the carriage deviates, the cause is that sensor, its mounting, or the part of the
-        machine between it and the pulleys.
+        Belts stretch little, so if a carriage moved otherwise than simulated, the encoders of the pulleys
+        would deviate as well. If only the sensor of the carriage deviates, the cause is that sensor, its
+        mounting, or the part of the machine between it and the pulleys.
         """
         errors = self.held_out.channels
         rows = dict(zip(self.machine.output_channels, self.machine.sensor_matrix, strict=True))
         rmse = {channel: error.rmse for channel, error in errors.items() if error.rmse is not None}
 
         def ratios(channel: str, motion: Array) -> list[float]:
-            """Return the errors of other sensors / those that they would have after such an error of the motion."""
+            """Return the errors of other sensors / those that they would have after such a motion error."""
             amount = rmse[channel] / abs(float(rows[channel] @ motion))
             others = [other for other in rmse if other != channel and rows[other] @ motion]
             return [rmse[other] / (amount * abs(float(rows[other] @ motion))) for other in others]
@@ -105,8 +108,8 @@ def error_ratio(evaluation: ModelEvaluation, reference: ModelEvaluation) -> floa
         reference: Machine to compare with.
 
     Returns:
-        Geometric mean of the ratio over the measured channels. 0 if only the reference diverges, or nothing is
-        measured; infinite if only the machine diverges; 1 if both do.
+        Geometric mean of the ratio over the measured channels. 0 if only the reference diverges, or nothing
+        is measured; infinite if only the machine diverges; 1 if both do.
     """
     if evaluation.diverged or reference.diverged:
         return 1.0 if evaluation.diverged and reference.diverged else math.inf if evaluation.diverged else 0.0
@@ -125,10 +128,10 @@ def evaluate_held_out(
     recordings: Sequence[Recording],
     criteria: SelectionCriteria | None = None,
 ) -> ModelEvaluation:
-    """Evaluate a machine on the held-out runs (not fitted): simulate it as ``hframe simulate`` does, and compare.
+    """Evaluate a machine on held-out runs (not fitted): simulate it as ``hframe simulate`` does, and compare.
 
-    The zeros of the encoders (measurements at position 0), estimated from all fitted runs together, are written to the
-    machine. Everything else about the initial states follows from each recording alone.
+    The zeros of the encoders (measurements at position 0), estimated from all fitted runs together, are
+    written to the machine. Everything else about the initial states follows from each recording alone.
 
     Args:
         fitted: Runs that the machine was fitted to.
@@ -137,9 +140,9 @@ def evaluate_held_out(
         criteria: Thresholds of the identification. Default: `SelectionCriteria()`.
 
     Returns:
-        The machine with these zeros, its errors by channel, and its simulation errors (measured minus simulated), m or
-        rad, shape (n, sensors) for each run. If the motion of a run diverges, `diverged` names it, its errors are NaN,
-        and no error is given for any channel.
+        The machine with these zeros, its errors by channel, and its simulation errors (measured minus
+        simulated), m or rad, shape (n, sensors) for each run. If the motion of a run diverges, `diverged`
+        names it, its errors are NaN, and no error is given for any channel.
 
     Raises:
         KeyError: If the recording of a run is missing.
@@ -149,7 +152,7 @@ def evaluate_held_out(
     measured = {recording.name: recording for recording in recordings}
 
     def simulated(run: PreparedRecording) -> tuple[Array, tuple[str, ...], bool]:
-        """Return the errors at the rows of a run (n, sensors), warnings about its start, and whether it diverges."""
+        """Return errors at a run's rows (n, sensors), warnings about its start, and whether it diverges."""
         recording = measured[run.name]
         try:
             simulation = simulate_recording(machine, recording, criteria, updates=run.updates)
@@ -180,7 +183,7 @@ def evaluate_held_out(
 
 
 def with_encoder_zeros(machine: Machine, data: Dataset) -> Machine:
-    """Return a copy of a machine whose encoders have the zeros (measurements at position 0) that all runs determine.
+    """Return a machine whose encoders have the zeros (readings at position 0) that all runs determine.
 
     A simulation of a single run with this copy starts from the same state as in the fit to all runs.
 
@@ -188,7 +191,8 @@ def with_encoder_zeros(machine: Machine, data: Dataset) -> Machine:
         machine: Machine that was fitted to the runs; its effects refine the zeros.
 
     Returns:
-        Copy; sensors whose zero the runs do not determine have none. `machine` itself if no zero is determined.
+        Copy; sensors whose zero the runs do not determine have none. `machine` itself if no zero is
+        determined.
     """
     zeros = refine_encoder_zeros(data, machine).zeros
     return machine if zeros is None else zeros.in_machine(machine)

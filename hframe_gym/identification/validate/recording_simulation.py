@@ -1,7 +1,7 @@
 """Simulate a machine over a recording, from the initial state that every command uses.
 
-Identification evaluates its machines on held-out runs with `simulate_recording`, and ``hframe simulate`` calls the same
-function with the machine that identification wrote, so both have the same errors.
+Identification evaluates its machines on held-out runs with `simulate_recording`, and ``hframe simulate``
+calls the same function with the machine that identification wrote, so both have the same errors.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ class SimulatedRecording(NamedTuple):
     """A machine simulated over a recording, at the n times of that recording.
 
     Attributes:
-        trajectory: Positions, velocities and simulated measurements. The latter include the zeros of the sensors (their
-            measurements at position 0), so that they can be compared with the recording.
-        error: Measured minus simulated values, in the sensors' units, shape (n, sensors); NaN where nothing or an
-            outlier was measured, in repetitions of slow sensors, and before the machine came to rest.
+        trajectory: Positions, velocities and simulated measurements. The latter include the zeros of the
+            sensors (their measurements at position 0), so that they can be compared with the recording.
+        error: Measured minus simulated values, in the sensors' units, shape (n, sensors); NaN where nothing
+            or an outlier was measured, in repetitions of slow sensors, and before the machine came to rest.
         initial: Initial state and zeros of the sensors; its `warnings` list what could not be determined.
     """
 
@@ -68,25 +68,26 @@ def simulate_recording(
 ) -> SimulatedRecording:
     """Simulate a machine over a recording and compare it with the measurements.
 
-    The simulation starts from the most probable state, which is estimated from the measurements at rest and the motion,
-    and uses no feedback of the measurements. Rows that the logger dropped are filled in before the simulation; the
-    measurements determine their voltages.
+    The simulation starts from the most probable state, which is estimated from the measurements at rest and
+    the motion, and uses no feedback of the measurements. Rows that the logger dropped are filled in before
+    the simulation; the measurements determine their voltages.
 
-    Three kinds of measurements count as not measured: outliers (up to five consecutive samples of a sensor that leave
-    its motion and return to it), repetitions of a sensor that is slower than the log, and measurements before the
-    machine comes to rest, if it still moves when the run begins.
+    Three kinds of measurements count as not measured: outliers (up to five consecutive samples of a sensor
+    that leave its motion and return to it), repetitions of a sensor that is slower than the log, and
+    measurements before the machine comes to rest, if it still moves when the run begins.
 
     Args:
         machine: Machine, declared or identified.
         recording: The run; outputs may be missing.
-        criteria: Thresholds by which a sensor at the end of its range is recognized. Default: `SelectionCriteria()`.
-        updates: How many times the controller changes the voltages from one row to the next; more than once, they are
-            interpolated between the rows.
+        criteria: Thresholds by which a sensor at the end of its range is recognized. Default:
+            `SelectionCriteria()`.
+        updates: How many times the controller changes the voltages from one row to the next; more than once,
+            they are interpolated between the rows.
 
     Returns:
         Trajectory at the n times of the recording, errors (measured minus simulated), in the sensors' units,
-        shape (n, sensors), NaN where not measured, and initial state. A run that does not begin at rest is simulated
-        from its first measurement on; the rows before are NaN.
+        shape (n, sensors), NaN where not measured, and initial state. A run that does not begin at rest is
+        simulated from its first measurement on; the rows before are NaN.
 
     Raises:
         NotFiniteError: If the motion diverges.
@@ -126,23 +127,25 @@ def initial_state_of_recording(
     """Determine the initial state from which a machine is simulated over a recording.
 
     The measurements at rest give a first estimate: saturated ones are ignored, scale and skew of a sensor are
-    corrected, and pulleys are in static equilibrium. An encoder measures the stretch of the belts if the machine
-    declares its zero (measurement at position 0). The zero is not used if it contradicts the lasers (sensors with a
-    fixed zero): the encoder was then switched on anew and counts from another zero. What remains uncertain (belt
-    stretch, states of hysteresis and bristles) is estimated from the motion, see
+    corrected, and pulleys are in static equilibrium. An encoder measures the stretch of the belts if the
+    machine declares its zero (measurement at position 0). The zero is not used if it contradicts the lasers
+    (sensors with a fixed zero): the encoder was then switched on anew and counts from another zero. What
+    remains uncertain (belt stretch, states of hysteresis and bristles) is estimated from the motion, see
     `start_estimation.most_probable_start`.
 
     Args:
         machine: Machine, declared or identified.
         recording: The run; outputs may be missing.
-        criteria: Thresholds by which a sensor at the end of its range is recognized. Default: `SelectionCriteria()`.
+        criteria: Thresholds by which a sensor at the end of its range is recognized. Default:
+            `SelectionCriteria()`.
 
     Returns:
-        Initial state for `simulate(..., initial.start(machine), offset=initial.zeros)`, the simulation whose errors
-        identification reports. Its `state` holds positions and velocities, shape (2 * coordinates,), its `zeros` the
-        zeros of the sensors, in the sensors' units, shape (sensors,): those at rest, corrected by the mean error of the
-        run as far as rounding and the stretch of the belts at the start explain it. If the simulation diverges, the
-        zeros follow from the measurements at rest. `warnings` lists what could not be determined.
+        Initial state for `simulate(..., initial.start(machine), offset=initial.zeros)`, the simulation whose
+        errors identification reports. Its `state` holds positions and velocities, shape (2 * coordinates,),
+        its `zeros` the zeros of the sensors, in the sensors' units, shape (sensors,): those at rest,
+        corrected by the mean error of the run as far as rounding and the stretch of the belts at the start
+        explain it. If the simulation diverges, the zeros follow from the measurements at rest. `warnings`
+        lists what could not be determined.
     """
     criteria = criteria or SelectionCriteria()
     begun = from_first_measurement(recording, machine)
@@ -152,7 +155,7 @@ def initial_state_of_recording(
 def _cleaned(
     recording: Recording, machine: Machine, criteria: SelectionCriteria, updates: int = 1
 ) -> tuple[Recording, NDArray[np.bool_]]:
-    """Return a recording without outliers, gaps, and measurements before the machine came to rest, and its logged rows.
+    """Return a recording without outliers, gaps, and measurements before rest, and its logged rows.
 
     The measurements also determine the voltages in the gaps, except saturated measurements.
     """
@@ -169,7 +172,7 @@ def _cleaned(
 def _unsaturated(
     usable: Recording, filled: Recording, machine: Machine, criteria: SelectionCriteria
 ) -> Recording:
-    """Return a recording without saturated measurements, by the noise that it has once its gaps are filled."""
+    """Return a recording without saturated measurements, by its noise once its gaps are filled."""
     _, _, noise = rest_and_noise(filled, machine)
     ((unsaturated,), _) = without_saturated([usable], machine, noise, criteria)
     return unsaturated
@@ -201,7 +204,7 @@ def _initial_state(
     updated, step_s = _updated(machine, recording, updates), resolved_step(machine, POLISH_STEP)
 
     def errors(states: Array, outputs: Array) -> Array:
-        """Return measured minus simulated values in the first k rows, 0 if not measured, shape (B, k, sensors)."""
+        """Return measured minus simulated in the first k rows, 0 if not measured, shape (B, k, sensors)."""
         time_s, inputs = (values[: (len(outputs) - 1) * updates + 1] for values in updated)
         motion = simulate_batch(
             machine, time_s, inputs, start=states, longest_step=step_s, every=updates, states=False

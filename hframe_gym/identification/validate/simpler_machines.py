@@ -1,8 +1,8 @@
 """Compare the machine of the search with a plain fit and with the file, and deliver none that predicts worse.
 
-Where no cause is named, effects may describe the remaining error of complete runs: those whose names the held-out runs
-withdrew, on a machine with belts too, and others that are searched for beside the better of refitted machine and plain
-fit.
+Where no cause is named, effects may describe the remaining error of complete runs: those whose names the
+held-out runs withdrew, on a machine with belts too, and others that are searched for beside the better of
+refitted machine and plain fit.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ from .evaluation import Evaluated, HeldOutTest, HeldOutTests, Judged, with_certa
 from .machine_errors import ModelEvaluation, error_ratio
 
 _MAX_EFFECTS = 2  # Each further one takes longer and removes less.
-_TRIALS = 8  # a step: far from the data, as here, linearized gains say little about which effect reduces the error most
+# In a step: far from the data, as here, linearized gains say little about which effect is the best.
+_TRIALS = 8
 _BUDGET_PART = 0.3  # of the budget of the identification
 _LONGEST = 45.0  # s of processor time
 _REFINED = (
@@ -74,12 +75,13 @@ _ONLY_COMPLETE_RUNS = (
 
 @dataclass(frozen=True)
 class PlainResult:
-    """The plain fit of inertia and friction, which uses no declared value of them, as a machine for comparison.
+    """The plain fit of inertia and friction, which uses no declared values, as a machine for comparison.
 
     Attributes:
         evaluation: The machine with its errors on the held-out runs.
         terms: Labels of what it has beside inertia and friction: constant force, weight, input delay.
-        delivered: Whether it is the machine that identification delivers, because that of the search predicts worse.
+        delivered: Whether it is the machine that identification delivers, because that of the search predicts
+            worse.
     """
 
     evaluation: ModelEvaluation
@@ -106,9 +108,9 @@ def reserve_time_after_search(
 ) -> None:
     """Reserve processor time for what follows a search, if a held-out run is long.
 
-    The machines that are known before the search are evaluated, to measure how long that takes. After the search, the
-    refitted and the corrected machine are evaluated. The delivered one gets the starts of the fitted runs, its
-    uncertainty and the report, which takes for each run as long as an evaluation does.
+    The machines that are known before the search are evaluated, to measure how long that takes. After the
+    search, the refitted and the corrected machine are evaluated. The delivered one gets the starts of the
+    fitted runs, its uncertainty and the report, which takes for each run as long as an evaluation does.
 
     Args:
         tests: Tests by which machines are compared; they remember these evaluations.
@@ -136,9 +138,9 @@ def no_worse(
 ) -> Delivered:
     """Compare the outcome with the plain fit and the declared machine, and deliver none that predicts worse.
 
-    If one of them takes the place of a machine with effects, that is the reason why none is named. Where no cause is
-    named, a machine with effects that describe what is left takes the place of one without. Held-out runs that all
-    contradict all of these machines choose none.
+    If one of them takes the place of a machine with effects, that is the reason why none is named. Where no
+    cause is named, a machine with effects that describe what is left takes the place of one without. Held-out
+    runs that all contradict all of these machines choose none.
 
     Args:
         judgment: Outcome of a search with its machines, as the held-out runs judge it.
@@ -186,7 +188,7 @@ def _may_choose(evaluated: Evaluated, plain: PlainFit | None, differing: Sequenc
 def _compared(
     judgment: Judged, plain: PlainFit, log: LineLog, budget: Budget
 ) -> tuple[PlainResult, Evaluated, str]:
-    """Return the plain fit with its errors, the outcome that is delivered, and what replaced the search's machine."""
+    """Return the plain fit with its errors, the delivered outcome, and what replaced the search's machine."""
     evaluated = judgment.evaluated
     outcome, test = evaluated.outcome, evaluated.test
     has_belts = bool(test.session.machine.belts)
@@ -236,8 +238,8 @@ def confirmed(plain: PlainFit, evaluated: Evaluated) -> tuple[PlainFit, ModelEva
         evaluated: Outcome of a search, with the tests on the held-out runs.
 
     Returns:
-        The plain fit with those terms that the fitted runs show, without any that worsen the prediction of the held-out
-        runs, or with others, if it then predicts them better; and the errors of this machine.
+        The plain fit with those terms that the fitted runs show, without any that worsen the prediction of
+        the held-out runs, or with others, if it then predicts them better; and the errors of this machine.
     """
     best, reference = plain, _plain_errors(plain, evaluated)
     for simpler in reversed(plain.simpler):
@@ -254,8 +256,8 @@ def confirmed(plain: PlainFit, evaluated: Evaluated) -> tuple[PlainFit, ModelEva
 def start_of_description(plain: PlainFit, evaluated: Evaluated) -> PlainFit:
     """Return the plain fit with those terms that describe the held-out runs as clearly as a description must.
 
-    Terms are effects without a cause, as those of a description are. One that hardly helps may be false, and takes the
-    place of a part of what the description would find: a constant force that of a spring.
+    Terms are effects without a cause, as those of a description are. One that hardly helps may be false, and
+    takes the place of a part of what the description would find: a constant force that of a spring.
 
     Args:
         plain: Plain fit to the fitted runs.
@@ -314,14 +316,16 @@ def best_description(
     """Return the description of what is left that predicts the held-out runs best.
 
     Args:
-        judgment: Outcome of a search with its machines. Effects whose names were withdrawn are the first description.
+        judgment: Outcome of a search with its machines. Effects whose names were withdrawn are the first
+            description.
         base: Machine without a description.
-        further: Fits with effects, and their labels. They are asked for if the first description leaves more than
-            noise, so that a generator searches for them only then.
+        further: Fits with effects, and their labels. They are asked for if the first description leaves more
+            than noise, so that a generator searches for them only then.
         log: Called with a line of text for each description.
 
     Returns:
-        The best one; None if effects are named, only noise is left, or `base` predicts the held-out runs as well.
+        The best one; None if effects are named, only noise is left, or `base` predicts the held-out runs as
+        well.
     """
     evaluated, withdrawn = judgment
     outcome, test = evaluated.outcome, evaluated.test
@@ -380,7 +384,7 @@ def _better_description(
     base: ModelEvaluation,
     log: LineLog,
 ) -> Description | None:
-    """Return a machine with effects as a description if it is clearly better than the best one, or else that one."""
+    """Return a machine with effects as a description if it is clearly better than the best, else that."""
     again = evaluated.test.evaluate(evaluated.outcome._replace(after=fitted))
     ratio, without_it = error_ratio(again.after, base), best.evaluated.after if best else base
     helps = description_helps(error_ratio(again.after, without_it))
@@ -396,7 +400,7 @@ def _better_description(
 def _predicted_ratio(
     model: ModelEvaluation, reference: ModelEvaluation, evaluated: Evaluated
 ) -> float | None:
-    """Return the ratio of the squared errors of predictions if the motion of a reference is unstable, else None."""
+    """Return the ratio of predictions' squared errors if the motion of a reference is unstable, else None."""
     test, fitted = evaluated.test, evaluated.outcome.data
     if test.unstable_motion(reference, fitted) is None:
         return None
@@ -425,8 +429,10 @@ def description_sentence(
     Args:
         labels: Labels of its effects.
         ratio: Error on the held-out runs with them, relative to that without.
-        lacking: Force that the machine with them lacks, relative to that of the drives; None if it is not known.
-        without: Force that the refitted machine lacks, relative to that of the drives; None if it is not known.
+        lacking: Force that the machine with them lacks, relative to that of the drives; None if it is not
+            known.
+        without: Force that the refitted machine lacks, relative to that of the drives; None if it is not
+            known.
     """
     sentence = _DESCRIPTION.format(", ".join(labels), ratio)
     if lacking is None or without is None or not forces_contradict(lacking, without):
@@ -447,8 +453,8 @@ def descriptions(
         budget: Budget of the identification, of which the searches may use at most 30 % and 45 s.
 
     Yields:
-        Fit with one more effect in simulation, and the labels of all; nothing if no effect passes the tests, or after
-        the budget.
+        Fit with one more effect in simulation, and the labels of all; nothing if no effect passes the tests,
+        or after the budget.
     """
     if not budget.has_time(LAST_STAGE_END):
         return

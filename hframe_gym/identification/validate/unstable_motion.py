@@ -1,8 +1,8 @@
-"""Motion along which a machine is unstable, such as that of a pendulum that a controller swings above the horizontal.
+"""Motion along which a machine is unstable, such as that of a pendulum swung above the horizontal.
 
-A simulation has no controller. Where a force drives the machine away from its path, an error as small as the noise
-grows exponentially, so that the simulation of an exact machine errs as well, by an amount of chance. Predictions that
-an observer corrects do not drift away.
+A simulation has no controller. Where a force drives the machine away from its path, an error as small as the
+noise grows exponentially, so that the simulation of an exact machine errs as well, by an amount of chance.
+Predictions that an observer corrects do not drift away.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ _MOMENTS = 16  # An instability that lasts a sixteenth of a run is found; each m
 def enlargement(machine: Machine, data: Dataset, bandwidth: float) -> float:
     """Return how many times simulations enlarge an error of position that the sensors cannot show.
 
-    The error may arise at any moment of a run, because an error that shrinks at first may grow later. From several
-    moments, the machine is simulated to the end of the run, from the state that an observer gives and from one that is
-    displaced by one standard deviation of the noise. Without a force that depends on the position, the displacement
-    remains as it is; a spring, friction or a weight below its axis reduces it.
+    The error may arise at any moment of a run, because an error that shrinks at first may grow later. From
+    several moments, the machine is simulated to the end of the run, from the state that an observer gives and
+    from one that is displaced by one standard deviation of the noise. Without a force that depends on the
+    position, the displacement remains as it is; a spring, friction or a weight below its axis reduces it.
 
     Args:
         machine: Machine that is simulated.
@@ -34,9 +34,9 @@ def enlargement(machine: Machine, data: Dataset, bandwidth: float) -> float:
         bandwidth: Bandwidth of the observer, rad/s.
 
     Returns:
-        Error of the measured positions over the complete run / noise, rms, of the moment and motion (`rigid_motions`)
-        with the largest one; rms over the runs, dimensionless. Infinite if a simulation diverges, 0 if no sensor
-        measures a position.
+        Error of the measured positions over the complete run / noise, rms, of the moment and motion
+        (`rigid_motions`) with the largest one; rms over the runs, dimensionless. Infinite if a simulation
+        diverges, 0 if no sensor measures a position.
     """
     of_position = np.array([sensor.of_position for sensor in machine.sensors], dtype=bool)
     if not of_position.any():
@@ -71,11 +71,12 @@ def _displacements(machine: Machine, rows: Array) -> Array:
 
     Args:
         machine: Machine that is displaced.
-        rows: Measurements of positions / noise, per m or rad of each coordinate, shape (sensors, coordinates).
+        rows: Measurements of positions / noise, per m or rad of each coordinate,
+            shape (sensors, coordinates).
 
     Returns:
-        Positions (m, rad) and velocities (zero), each of one standard deviation of the noise of the sensor that shows
-        the motion best, shape (motions, 2 * coordinates).
+        Positions (m, rad) and velocities (zero), each of one standard deviation of the noise of the sensor
+        that shows the motion best, shape (motions, 2 * coordinates).
     """
     motions = np.array(list(rigid_motions(machine).values())).reshape(-1, len(machine.coordinates))
     shown = np.max(np.abs(motions @ rows.T), axis=1, initial=0.0)

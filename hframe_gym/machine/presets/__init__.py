@@ -1,4 +1,4 @@
-"""Preset machines by name; `hframe_gym.effects` adds the pendulum, whose weight is an effect of the library."""
+"""Preset machines by name; `hframe_gym.effects` adds the pendulum, whose weight is a library effect."""
 
 from __future__ import annotations
 

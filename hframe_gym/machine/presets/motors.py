@@ -32,11 +32,12 @@ def motor() -> Machine:
 def wheel() -> Machine:
     """Return a wheel of a small mobile robot behind a gear motor, which a bridge drives with a duty cycle.
 
-    A wheel of 35 mm carries half of a robot of 1 kg, 6e-4 kg m^2 of the total, and the rotor counts 900 times.
+    A wheel of 35 mm carries half of a robot of 1 kg, 6e-4 kg m^2 of the total, and the rotor counts 900
+    times.
 
     Returns:
-        The preset `wheel`: coordinate wheel (rad), one drive of the kind "duty-cycle" with a supply of 6 V and a gear
-        of 30:1, sensor wheel_rad, an encoder of 3 lines on the motor.
+        The preset `wheel`: coordinate wheel (rad), one drive of the kind "duty-cycle" with a supply of 6 V
+        and a gear of 30:1, sensor wheel_rad, an encoder of 3 lines on the motor.
     """
     gear = 30.0
     return Machine(
@@ -67,8 +68,8 @@ def servo() -> Machine:
     """Return a hobby servo with an arm: it follows a commanded angle, and a sensor measures the angle.
 
     Returns:
-        The preset `servo`: coordinate horn (rad), range +-90 degrees, one drive of the kind "position" with at most
-        0.2 Nm and 10 rad/s at the horn, sensor horn_rad with a known zero.
+        The preset `servo`: coordinate horn (rad), range +-90 degrees, one drive of the kind "position" with
+        at most 0.2 Nm and 10 rad/s at the horn, sensor horn_rad with a known zero.
     """
     return Machine(
         name="servo",

@@ -54,8 +54,8 @@ def _sensors() -> tuple[Sensor, ...]:
 def hframe() -> Machine:
     """Return the nonlinear 8th-order model of Sollmann et al. (2010).
 
-    It has Coulomb and viscous friction (Table 3), position-dependent belt stiffness (eq. 43-44) and a gear ratio of
-    5.9; the coordinates are x, y (m), and phi1, phi2 (rad, pulley side of the gears).
+    It has Coulomb and viscous friction (Table 3), position-dependent belt stiffness (eq. 43-44) and a gear
+    ratio of 5.9; the coordinates are x, y (m), and phi1, phi2 (rad, pulley side of the gears).
     """
     l1, l2, l3, l4, l5, l6, l7, l8, l9 = SECTIONS  # m, with both carriages at the center
     return Machine(
@@ -118,10 +118,10 @@ def hframe_linear() -> Machine:
 
 
 def hframe_literal() -> Machine:
-    """Return the preset `hframe` with eq. 17 of Sollmann et al. (2010) as printed, that is, without the gear ratio.
+    """Return the preset `hframe` with eq. 17 of Sollmann et al. (2010) as printed: no gear ratio.
 
-    It documents an error of the paper: with the equation as printed, the simulated motion contradicts Fig. 7, and with
-    the gear ratio of 5.9 (preset `hframe`) it agrees.
+    It documents an error of the paper: with the equation as printed, the simulated motion contradicts Fig. 7,
+    and with the gear ratio of 5.9 (preset `hframe`) it agrees.
 
     Returns:
         The preset `hframe-literal`: `hframe` with gear ratio 1.
@@ -134,14 +134,16 @@ def hframe_literal() -> Machine:
 
 
 def hframe_order20() -> Machine:
-    """Return the linear 20th-order model of Sollmann et al. (2010) with all eight pulleys (eq. 25-34, corrected).
+    """Return the linear 20th-order model of Sollmann et al. (2010), eight pulleys (eq. 25-34, corrected).
 
-    Table 1 adds the inertia and friction of the six idlers to the values of the cart (y) and of the motor pulleys (eq.
-    4-8); here every pulley is a coordinate with the same inertia and friction. Each section has the constant stiffness
-    of x = -0.2227 m, y = -0.1163 m, for which Table 1 holds (eq. 39-43). docs/errata.md lists the corrections.
+    Table 1 adds the inertia and friction of the six idlers to the values of the cart (y) and of the motor
+    pulleys (eq. 4-8); here every pulley is a coordinate with the same inertia and friction. Each section has
+    the constant stiffness of x = -0.2227 m, y = -0.1163 m, for which Table 1 holds (eq. 39-43).
+    docs/errata.md lists the corrections.
 
     Returns:
-        The preset `hframe-order20`: 10 coordinates x, y (m) and phi1..phi8 (rad), 9 belt sections, 2 drives, 4 sensors.
+        The preset `hframe-order20`: 10 coordinates x, y (m) and phi1..phi8 (rad), 9 belt sections, 2 drives,
+        4 sensors.
     """
     linear = hframe_linear()
     x, y = -0.2227, -0.1163  # m, the position for which Table 1 holds

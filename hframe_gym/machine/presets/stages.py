@@ -10,9 +10,11 @@ from ..machine import Machine
 # A belt axis with the motor of the CoreXY stage below; lengths at the center of its travel of 0.5 m.
 BELT_AXIS_MOTOR_SIDE = 0.36  # m, from the pulley of the motor to the carriage
 BELT_AXIS_IDLER_SIDE = 1.08  # m, from the pulley of the motor around the idler, 0.72 m away, to the carriage
-# A CoreXY stage of the size of a desktop 3D printer. The values are typical ones, not those of a particular machine.
+# A CoreXY stage of the size of a desktop 3D printer. The values are typical ones, not those of a particular
+# machine.
 COREXY_RADIUS = 20 * 2e-3 / (2 * math.pi)  # m, pitch radius of a pulley of 20 teeth with a pitch of 2 mm
-# N. A belt of 6 mm with glass cords stretches by about 1 % under a load of 10 kg (acceptance test of FarmBot's belt).
+# N. A belt of 6 mm with glass cords stretches by about 1 % under a load of 10 kg (acceptance test of
+# FarmBot's belt).
 COREXY_EA = 1.0e4
 COREXY_TRAVEL = 0.15  # m, to either side of the center, x and y
 # m, from the motor to the carriage at the center: 0.23 m along the frame and 0.20 m along the bridge.
@@ -25,8 +27,8 @@ def axis() -> Machine:
     """Return a single carriage that a motor moves directly, as a template for other machines.
 
     Returns:
-        The preset `axis`: coordinate x (1 kg, viscous friction 5 Ns/m, Coulomb friction 1 N, range -0.25 to 0.25 m), no
-        belts, one drive of 12 V, sensor x_m.
+        The preset `axis`: coordinate x (1 kg, viscous friction 5 Ns/m, Coulomb friction 1 N, range
+        -0.25 to 0.25 m), no belts, one drive of 12 V, sensor x_m.
     """
     return Machine(
         name="axis",
@@ -43,8 +45,8 @@ def axis() -> Machine:
 def xy_table() -> Machine:
     """Return a stage with a motor for each direction, as CNC routers, gantries and plotters have it.
 
-    The bridge moves along x and carries the carriage, which moves along y; neither motor moves the other axis. With the
-    gear ratio of `axis`, the belts of the motors are taken as stiff.
+    The bridge moves along x and carries the carriage, which moves along y; neither motor moves the other
+    axis. With the gear ratio of `axis`, the belts of the motors are taken as stiff.
 
     Returns:
         The preset `xy-table`: coordinates x, y (m), no belts, two drives of 24 V, sensors x_m and y_m.
@@ -75,7 +77,7 @@ def xy_table() -> Machine:
 
 
 def belt_axis() -> Machine:
-    """Return a carriage on a belt between the pulley of a motor and an idler, as a template for other machines.
+    """Return a carriage on a belt between a motor's pulley and an idler, as a template for other machines.
 
     Returns:
         The preset `belt-axis`: coordinates x (m) and phi (rad), two sections of one belt, whose EA is tied
@@ -107,18 +109,20 @@ def belt_axis() -> Machine:
 def corexy() -> Machine:
     """Return a CoreXY stage with two belts and two 24 V motors without gears.
 
-    The carriage moves along x on the bridge, which moves along y. Both motors are at the front. Each belt has two
-    sections from its motor to the carriage: a short one along its own side of the frame, and a long one around the rear
-    and along the other side. With p = radius * phi the kinematics are x = (p1 + p2) / 2 and y = (p1 - p2) / 2.
+    The carriage moves along x on the bridge, which moves along y. Both motors are at the front. Each belt has
+    two sections from its motor to the carriage: a short one along its own side of the frame, and a long one
+    around the rear and along the other side. With p = radius * phi the kinematics are x = (p1 + p2) / 2 and y
+    = (p1 - p2) / 2.
 
     Returns:
-        The preset `corexy`: 4 coordinates x, y (m), phi1, phi2 (rad), 4 belt sections, 2 drives, 4 sensors. Both
-        sections of a belt have the same EA (`Machine.ties`).
+        The preset `corexy`: 4 coordinates x, y (m), phi1, phi2 (rad), 4 belt sections, 2 drives, 4 sensors.
+        Both sections of a belt have the same EA (`Machine.ties`).
     """
     motion = {"belt1": {"x": 1.0, "y": 1.0}, "belt2": {"x": 1.0, "y": -1.0}}  # belt travel at the motor
     belts = []
     for number, (name, row) in enumerate(motion.items(), start=1):
-        # The short section of belt 1 becomes longer where that of belt 2 becomes shorter: the motors are at its ends.
+        # The short section of belt 1 becomes longer where that of belt 2 becomes shorter: the motors are at
+        # its ends.
         sign = 1.0 if number == 1 else -1.0
         sections = (("short", COREXY_SHORT, sign), ("long", COREXY_LONG, -sign))
         for section, length, direction in sections:
@@ -132,8 +136,8 @@ def corexy() -> Machine:
                     length=change,
                 )
             )
-    # Stall torque 24 V * 0.04 Nm/A / 2 ohm = 0.48 Nm, the holding torque of a common 42 mm stepper; the inertia is that
-    # of such a rotor with its pulley.
+    # Stall torque 24 V * 0.04 Nm/A / 2 ohm = 0.48 Nm, the holding torque of a common 42 mm stepper; the
+    # inertia is that of such a rotor with its pulley.
     drives = tuple(
         Drive(
             f"motor{i}",
@@ -174,12 +178,12 @@ def corexy() -> Machine:
 
 
 def printer() -> Machine:
-    """Return the CoreXY stage of a 3D printer: its stepper motors follow the positions that a planner commands.
+    """Return the CoreXY stage of a 3D printer: its stepper motors follow the positions of a planner.
 
-    The torque of a stepper motor with 50 pole pairs grows with the angle behind the command by 50 times its holding
-    torque per rad, here 0.48 Nm, the stall torque of the preset `corexy`. Its natural damping is low: a tenth of the
-    critical one for the rotor with the carriage. The kind "position" holds the torque at its limit; a drive of the kind
-    "stepper" loses steps there, and needs commands at the rate of the steps.
+    The torque of a stepper motor with 50 pole pairs grows with the angle behind the command by 50 times its
+    holding torque per rad, here 0.48 Nm, the stall torque of the preset `corexy`. Its natural damping is low:
+    a tenth of the critical one for the rotor with the carriage. The kind "position" holds the torque at its
+    limit; a drive of the kind "stepper" loses steps there, and needs commands at the rate of the steps.
 
     Returns:
         The preset `printer`: `corexy` with drives of the kind "position" and sensors of x and y only.

@@ -11,8 +11,9 @@ from .measurement_units import TIME, Dimension, accepted_units, channel_dimensio
 from .possible_maps import obstacle
 
 NO_PROPOSAL = "COLUMN"  # in the proposed options, where no column may be the channel
-# First letters of columns that a message proposes for a channel: u, v for voltages; x, y, z, "pos" for lengths; "phi",
-# "angle", q, "encoder" for angles. Such a column is never assigned before the user confirms it.
+# First letters of columns that a message proposes for a channel: u, v for voltages; x, y, z, "pos" for
+# lengths; "phi", "angle", q, "encoder" for angles. Such a column is never assigned before the user confirms
+# it.
 _FIRST_LETTERS: dict[Dimension, str] = {
     "voltage": "uv",
     "length": "xyzp",
@@ -32,11 +33,11 @@ _SET_POINTS = ("length", "angle", "linear speed", "angular speed")
 
 
 def proposed_headers(machine: Machine, missing: Sequence[str], unused: Sequence[LogColumn]) -> dict[str, str]:
-    """Propose the header of a column for each channel without one; "COLUMN" (`NO_PROPOSAL`) where there is none.
+    """Propose the header of a column for channels without; "COLUMN" (`NO_PROPOSAL`) where there is none.
 
-    Channels with the fewest candidates come first. A column of the quantity of one channel is not proposed for
-    another one to which it would be converted. If several channels compete for fewer columns, none of them gets a
-    proposal.
+    Channels with the fewest candidates come first. A column of the quantity of one channel is not proposed
+    for another one to which it would be converted. If several channels compete for fewer columns, none of
+    them gets a proposal.
     """
     candidates = {channel: _candidates(machine, channel, unused) for channel in missing}
     alike = {
@@ -59,10 +60,10 @@ def proposed_headers(machine: Machine, missing: Sequence[str], unused: Sequence[
 def _candidates(machine: Machine, channel: str, unused: Sequence[LogColumn]) -> list[LogColumn]:
     """Return the columns that may be a channel, the likeliest kind only.
 
-    These are the columns with a unit of its quantity, else those that name it or count, else those with a unit that
-    can be converted to it, else those that name another quantity that can be, else, for the command of a drive that
-    follows a set point, those that are set points by name, else those that begin with its letters, else the only one.
-    A set point is not proposed for an output.
+    These are the columns with a unit of its quantity, else those that name it or count, else those with a
+    unit that can be converted to it, else those that name another quantity that can be, else, for the command
+    of a drive that follows a set point, those that are set points by name, else those that begin with its
+    letters, else the only one. A set point is not proposed for an output.
     """
     possible = [column for column in unused if _is_proposable(machine, channel, column)]
     accepted, dimension = accepted_units(machine, channel), channel_dimension(machine, channel)
@@ -87,7 +88,7 @@ def _family(machine: Machine, channel: str) -> str:
 
 
 def _is_proposable(machine: Machine, channel: str, column: LogColumn) -> bool:
-    """Return whether a column can be a channel by its quantity, perhaps after the user has stated its unit."""
+    """Return whether a column can be a channel by its quantity, perhaps once the user states its unit."""
     meaning = column.meaning
     if channel == TIME and meaning.quantity == "row number":
         return False  # without the rate of its steps, it is no time
@@ -103,6 +104,6 @@ def _is_proposable(machine: Machine, channel: str, column: LogColumn) -> bool:
 
 
 def _is_signal_of_sensor(column: LogColumn) -> bool:
-    """Return whether a column has the voltage of an analog sensor, such as "encoder_V": its name is of a motion."""
+    """Return whether a column has the voltage of an analog sensor, such as "encoder_V", by its name."""
     named = meaning_of(column.name, "").family
     return column.meaning.quantity == "voltage" and named in ("position", "speed", "acceleration")

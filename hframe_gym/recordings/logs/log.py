@@ -31,7 +31,8 @@ class LogColumn:
         rows: Number of rows; None if all columns of the file have the same number, or if `time` is known.
         time: Column of the sample times, if the format says which; it is one of the log's `times`.
         terms: Sign and column of each term, if this is no column of the file, but a sum of such columns.
-        file: Name of the file that has the column, if its log was joined with others; "" for a column of the log's own.
+        file: Name of the file that has the column, if its log was joined with others; "" for a column of the
+            log's own.
     """
 
     header: str
@@ -64,9 +65,11 @@ class Log:
 
     Attributes:
         remarks: Remarks for the user on the file's format, where it differs from that of a recording.
-        reader: Function that reads the values of columns by index in `columns`, followed by `times`, see `read`.
+        reader: Function that reads the values of columns by index in `columns`, followed by `times`, see
+            `read`.
         part: Name of the part of the file that this log is; "" if the file is one log.
-        times: Columns of sample times that belong to certain columns, see `LogColumn.time`. They are not in `columns`.
+        times: Columns of sample times that belong to certain columns, see `LogColumn.time`. They are not in
+            `columns`.
         run: Name of the run to which the log is converted; "" for the name of the file, followed by the part.
     """
 
@@ -98,12 +101,14 @@ class Log:
             progress: Called with the number of bytes read since the last call.
 
         Returns:
-            values: One array per column, in the unit of the file, shape (rows,): float64, NaN where a cell is empty, or
+            values: One array per column, in the unit of the file, shape (rows,): float64, NaN where a cell is
+            empty, or
                 datetime64[ns] for time stamps. Columns of a MATLAB file may differ in their numbers of rows.
             remarks: Sentences for the user about rows that were left out.
 
         Raises:
-            InputError: If a cell is not a number or the file cannot be read. The message names file, row and column.
+            InputError: If a cell is not a number or the file cannot be read. The message names file, row and
+                column.
         """
         known = (*self.columns, *self.times)
         needed = list(dict.fromkeys(part for column in columns for part in column.in_file))
@@ -116,8 +121,8 @@ class Log:
     def columns_called(self, reference: str) -> list[LogColumn]:
         """Find the columns that a user may mean by a reference, none if no column fits.
 
-        The first of these criteria that a column meets counts: number equal to the reference; equal header; equal
-        header but for upper and lower case; equal name without unit but for upper and lower case.
+        The first of these criteria that a column meets counts: number equal to the reference; equal header;
+        equal header but for upper and lower case; equal name without unit but for upper and lower case.
 
         Args:
             reference: "#3" for the third column, a header, or a name without its unit.
@@ -135,7 +140,8 @@ class Log:
         Names may contain the signs themselves: the longest name that a column has counts.
 
         Returns:
-            Sign and column of each term; nothing if the reference is no sum of columns that `columns_called` finds.
+            Sign and column of each term; nothing if the reference is no sum of columns that `columns_called`
+            finds.
         """
         text = reference.strip()
         sign, text = (-1.0, text[1:].strip()) if text.startswith("-") else (1.0, text)
@@ -160,7 +166,7 @@ def plain_name(name: str) -> str:
 
 
 def headers_text(columns: Sequence[LogColumn]) -> str:
-    """List the headers of columns, for messages, with units from a row of units; beyond 200 columns, their number."""
+    """List columns' headers, for messages, with units from a row of units; beyond 200, their number."""
     listed = [
         c.header if c.name != c.header or not c.unit else f"{c.header} [{c.unit}]" for c in columns[:_LISTED]
     ]

@@ -1,4 +1,4 @@
-"""Clocks of logs: continue counters that overflow, cut where a clock restarts, and say how other times are repaired."""
+"""Clocks of logs: continue counters that overflow, cut where a clock restarts, and give advice on others."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from ..recording import LONGEST_GAP
 from .measurement_units import TIME
 
 _DAY = 86_400.0  # s
-# Values at which counters of clocks start anew, in the unit of the column, with the counter in words. They are tried in
-# this order. A counter of microseconds may be logged in ms or s, one of milliseconds in s.
+# Values at which counters of clocks start anew, in the unit of the column, with the counter in words. They
+# are tried in this order. A counter of microseconds may be logged in ms or s, one of milliseconds in s.
 _COUNTERS = {
     2.0**32: "a counter of 32 bits",
     2.0**31: "a counter of 31 bits",
@@ -23,30 +23,33 @@ _COUNTERS = {
     2.0**32 / 1e6: "a counter of 32 bits in millionths",
     2.0**16 / 1e3: "a counter of 16 bits in thousandths",
 }
-# The step across the start, plus the modulus, is at most this many sampling periods. A clock that was set back to any
-# other value passes by chance in so many periods of all that the counter has: one in a million for 32 bits in
-# microseconds at 1 kHz.
+# The step across the start, plus the modulus, is at most this many sampling periods. A clock that was set
+# back to any other value passes by chance in so many periods of all that the counter has: one in a million
+# for 32 bits in microseconds at 1 kHz.
 _PERIODS_ACROSS = 3.0
-# Fraction of rows; fewer repeated times are those of messages that were delayed, more are those of a coarse clock.
+# Fraction of rows; fewer repeated times are those of messages that were delayed, more are those of a coarse
+# clock.
 _RARE = 0.1
-# A clock restarts if it goes back by more than this fraction of the time since its last start. Rows that were written
-# in a wrong order go back by a few periods.
+# A clock restarts if it goes back by more than this fraction of the time since its last start. Rows that were
+# written in a wrong order go back by a few periods.
 _RESTART = 0.5
-# Rows after a restart whose times are all earlier than the last one before it; after one wrong time they are not.
+# Rows after a restart whose times are all earlier than the last one before it; after one wrong time they are
+# not.
 _ROWS_EARLIER = 3
-# Fewer times between two starts are what a buffer still held of the session before, or its rows that were not filled,
-# which all have the same time.
+# Fewer times between two starts are what a buffer still held of the session before, or its rows that were not
+# filled, which all have the same time.
 _FEWEST_TIMES = 10
 
 
 def continued_counter(times: Array) -> tuple[Array, str]:
-    """Continue the times of a clock whose counter started anew, such as one of 32 bits in microseconds after 71.6 min.
+    """Continue times of a counter that started anew, such as one of 32 bits in microseconds after 71.6 min.
 
     Args:
         times: Times in the unit of the log, NaN where there is none, shape (n,).
 
     Returns:
-        times: Times in the unit of the log, shape (n,), that go on across each start; those given if they do not go
+        times: Times in the unit of the log, shape (n,), that go on across each start; those given if they do
+        not go
             back, or go back otherwise.
         remark: What was done, for the user; "" for nothing.
     """
@@ -64,8 +67,8 @@ def continued_over_midnight(times: Array) -> tuple[Array, str]:
         times: Times of day, s, NaN where there is none, shape (n,).
 
     Returns:
-        times: Times, s, shape (n,), that go on after midnight; those given if they do not go back by about a day.
-        remark: What was done, for the user; "" for nothing.
+        times: Times, s, shape (n,), that go on after midnight; those given if they do not go back by about a
+        day. remark: What was done, for the user; "" for nothing.
     """
     # A day less than the longest gap of a recording: a longer one would be refused.
     continued, midnights = _continued(times, _DAY, LONGEST_GAP)
@@ -78,7 +81,7 @@ def _times(count: int) -> str:
 
 
 def _continued(times: Array, modulus: float, longest: float | None) -> tuple[Array, int]:
-    """Return times without their starts anew, and the number of these; the times as given if there are none."""
+    """Return times without their starts anew, and the number of these; the same times if there are none."""
     present = np.isfinite(times)
     steps = np.diff(times[present])
     back = steps < 0.0
@@ -101,8 +104,9 @@ def clock_sections(time_s: Array) -> list[slice]:
         time_s: Times, s, NaN where there is none, shape (n,).
 
     Returns:
-        Rows of each section, in the order of the log. Sections of fewer than ten different times are left out, unless
-        a tenth of the rows is in such sections: these are no restarts, and all rows are returned as one section.
+        Rows of each section, in the order of the log. Sections of fewer than ten different times are left
+        out, unless a tenth of the rows is in such sections: these are no restarts, and all rows are returned
+        as one section.
     """
     rows = np.flatnonzero(np.isfinite(time_s))
     times, starts = time_s[rows], [0]
@@ -129,8 +133,8 @@ def replaced_rows(time_s: Array) -> tuple[NDArray[np.bool_], str]:
         time_s: Times, s, NaN where there is none, shape (n,).
 
     Returns:
-        rows: The rows that the next one replaces, shape (n,); none if these are a tenth or more, or times go back.
-        remark: What was done, for the user; "" for nothing.
+        rows: The rows that the next one replaces, shape (n,); none if these are a tenth or more, or times go
+        back. remark: What was done, for the user; "" for nothing.
     """
     replaced = np.zeros(len(time_s), np.bool_)
     rows = np.flatnonzero(np.diff(time_s) == 0.0)
@@ -163,14 +167,14 @@ def repair_of_times(time_s: Array) -> str:
 
 
 def _rate_option(time_s: Array) -> str:
-    """Return the option that states the rate of equally spaced rows with these times, s, of which some repeat."""
+    """Return the option that states the rate of rows with these times, s, of which some repeat."""
     steps = np.diff(time_s)
     rate = _rate(len(time_s), float(time_s[-1] - time_s[0]), float(np.min(steps[steps > 0.0])))
     return f"--map {TIME}={rate:g}Hz"
 
 
 def _rate(count: int, span: float, resolution: float) -> float:
-    """Return the roundest rate, Hz, of a number of rows whose times extend over a span and have a resolution, s."""
+    """Return the roundest rate, Hz, of a number of rows whose times have a span and a resolution, s."""
     # The times are rounded down, so that those of the last step extend beyond it.
     rate = count / (span + resolution)
     tolerance = rate * resolution / span

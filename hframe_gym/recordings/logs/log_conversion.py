@@ -34,11 +34,13 @@ from .measurement_units import TIME, Conversion, channel_dimension
 Mask = NDArray[np.bool_]
 Values = dict[str, NDArray[Any]]  # values of the log's columns by header
 
-# Samples of several time columns that differ by less than this fraction of the shortest sampling period form one row.
+# Samples of several time columns that differ by less than this fraction of the shortest sampling period form
+# one row.
 _SAME_TIME = 1e-3
 _MOST_INSERTED = 20  # rows between two merged rows; a longer step is a gap whatever its cause
 _LONG_STEP = 0.5  # s; times without a unit at longer steps are probably in another unit than seconds
-# Likely unit of times without a unit by their step: below a limit, unit, steps per second. Logs have 20 Hz to 20 kHz.
+# Likely unit of times without a unit by their step: below a limit, unit, steps per second. Logs have 20 Hz to
+# 20 kHz.
 _TIME_UNITS = ((50.0, "ms", 1e3), (50e3, "us", 1e6), (np.inf, "ns", 1e9))
 
 
@@ -50,8 +52,8 @@ class LogConverter:
     """Converts the logs of one session to recordings with a common clock.
 
     Attributes:
-        day: Midnight before the first time stamp of the first log; the times of all logs count from it. None until a
-            time stamp is read.
+        day: Midnight before the first time stamp of the first log; the times of all logs count from it. None
+            until a time stamp is read.
     """
 
     def __init__(self, machine: Machine) -> None:
@@ -64,23 +66,26 @@ class LogConverter:
     ) -> tuple[list[Recording], list[str]]:
         """Read a log and convert its channels to SI units, in one recording for each start of its clock.
 
-        Channels may have different sampling rates, each rate with its column of time; rows are merged by time. Where a
-        channel has no value in a row, a voltage keeps its last value and a measurement is NaN. A column of speeds is
-        integrated to positions, from 0 on. Time stamps count from midnight before the session's first time stamp.
+        Channels may have different sampling rates, each rate with its column of time; rows are merged by
+        time. Where a channel has no value in a row, a voltage keeps its last value and a measurement is NaN.
+        A column of speeds is integrated to positions, from 0 on. Time stamps count from midnight before the
+        session's first time stamp.
 
         Args:
             sources: Columns of the times and of each channel with their conversion to SI, from `map_columns`.
             progress: Called with the number of bytes read since the last call.
 
         Returns:
-            recordings: One recording with the name of the run, or NAME_01, NAME_02, ... if the clock restarts: times,
-                s, shape (n,), commands, shape (n, drives), and measurements, shape (n, sensors). It begins where all
-                commands have a value.
+            recordings: One recording with the name of the run, or NAME_01, NAME_02, ... if the clock
+            restarts: times,
+                s, shape (n,), commands, shape (n, drives), and measurements, shape (n, sensors). It begins
+                where all commands have a value.
             remarks: Sentences for the user about rows that were left out, held or merged.
 
         Raises:
             EmptyLogError: If the log has no rows.
-            InputError: If a cell is not a number, times do not increase, or a channel is empty or in a wrong unit.
+            InputError: If a cell is not a number, times do not increase, or a channel is empty or in a wrong
+                unit.
         """
         needed = list({source.column.header: source.column for source in sources if source.column}.values())
         in_file = [column for column in needed if column.kind != ROW_NUMBER]
@@ -108,7 +113,7 @@ class LogConverter:
     def _sections(
         self, log: Log, sources: Sequence[ChannelSource], by_header: Values, remarks: list[str]
     ) -> list[tuple[int, Values]]:
-        """Return first row and values of each section between starts of the clock, and report these starts."""
+        """Return first row and values of each section between starts of the clock, and report starts."""
         times = [source for source in sources if source.channel == TIME and source.column is not None]
         if len(times) != 1:
             return [(0, by_header)]
@@ -155,7 +160,7 @@ class LogConverter:
     def _columns(
         self, log: Log, sources: Sequence[ChannelSource], by_header: Values, remarks: list[str]
     ) -> tuple[Array, dict[str, Array]]:
-        """Return times, s, and the values of each channel in its unit; append to the remarks and empty `by_header`."""
+        """Return times, s, and the values of each channel in its unit; append remarks, empty `by_header`."""
         times = [source for source in sources if source.channel == TIME and source.column is not None]
         tables = [self._table(log, time, sources, by_header, remarks) for time in times]
         if self.day is not None and any(
@@ -225,8 +230,9 @@ class LogConverter:
         return time_s, channels
 
     def _without_wrap(self, channel: str, values: Array, time_s: Array) -> tuple[Array, str]:
-        """Unwrap the values of an output, in the unit of the log, and say so; other values are returned as given."""
-        # Encoders of motors may measure the travel of a carriage, so that turns may wrap in a channel in m as well.
+        """Unwrap the values of an output, in the unit of the log, and say so; return others as given."""
+        # Encoders of motors may measure the travel of a carriage, so that turns may wrap in a channel in m as
+        # well.
         sensor = self.machine.sensor(channel)
         if not sensor.of_position:
             return values, ""
@@ -244,7 +250,7 @@ class LogConverter:
         ), f"{channel}: starts anew after {wrap.name}, made continuous ({jumps})"
 
     def _seconds(self, log: Log, source: ChannelSource, by_header: Values, remarks: list[str]) -> Array:
-        """Return the times of a column, s; NaN where a cell is empty. A clock that starts anew is continued."""
+        """Return a column's times, s; NaN where a cell is empty. Clocks that start anew are continued."""
         assert source.column is not None
         values = by_header[source.column.header]
         if source.column.kind == "stamp":
@@ -276,7 +282,7 @@ class LogConverter:
 def _refuse_other_lengths(
     log: Log, time: ChannelSource, sources: Sequence[ChannelSource], by_header: Values
 ) -> None:
-    """Refuse columns with another number of rows than their time, which are of another file that was joined."""
+    """Refuse columns with another number of rows than their time, which are of another, joined file."""
     assert time.column is not None
     rows = len(by_header[time.column.header])
     for source in sources:
@@ -289,7 +295,7 @@ def _refuse_other_lengths(
 
 
 def _repeated_rows(time_s: Array, columns: Sequence[Array]) -> Mask:
-    """Return the rows that equal the row before in time and all values; none if a row repeats only the time."""
+    """Return the rows that equal the row before in time and all values; none if one repeats only the time."""
     repeated = np.zeros(len(time_s), np.bool_)
     rows = np.flatnonzero(np.diff(time_s) == 0.0) + 1
     for values in columns:
@@ -303,8 +309,8 @@ def _repeated_rows(time_s: Array, columns: Sequence[Array]) -> Mask:
 def _unit_advice(error: WrongUnitError, sources: Sequence[ChannelSource]) -> str:
     """Return the message about values that are probably in another unit, with the options that correct it.
 
-    Stating the unit that the error proposes helps only where a column was read as SI. If the log states another unit,
-    or the column is a speed, the values themselves may be wrong.
+    Stating the unit that the error proposes helps only where a column was read as SI. If the log states
+    another unit, or the column is a speed, the values themselves may be wrong.
     """
     wrong = [source for source in sources if source.channel in error.channels and source.column is not None]
     origins = "; ".join(
@@ -345,13 +351,13 @@ def _integrate(time_s: Array, speed: Array) -> Array:
 
 
 def _is_fraction(values: Array) -> bool:
-    """Return whether values that are stated in percent are probably fractions of 1: none exceeds 1, some reach 0.1."""
+    """Return whether values in percent are probably fractions of 1: none exceeds 1, some reach 0.1."""
     largest = float(np.max(np.abs(values), where=np.isfinite(values), initial=0.0))
     return 0.1 <= largest <= 1.0
 
 
 def _refuse_separate_times(log: Log, times: Sequence[ChannelSource], tables: Sequence[Array]) -> None:
-    """Refuse columns of time, s, that have no moment in common, such as seconds since the start and since 1970."""
+    """Refuse columns of time, s, without a common moment, such as seconds since the start and since 1970."""
     spans = [
         (float(time_s[0]), float(time_s[-1]), time.column.header)
         for time_s, time in zip(tables, times, strict=True)
@@ -377,7 +383,7 @@ def _common_length(log: Log, by_header: Values) -> int:
 
 
 def _merge(tables: Sequence[tuple[Array, dict[str, Array]]]) -> tuple[Array, dict[str, Array]]:
-    """Merge tables (times and channels) of different times to one; a channel is NaN in the rows of other tables."""
+    """Merge tables (times and channels) to one; a channel is NaN in rows of other tables."""
     times = np.concatenate([time_s for time_s, _ in tables])
     order = np.argsort(times, kind="stable")
     ordered = times[order]
@@ -399,7 +405,7 @@ def _merge(tables: Sequence[tuple[Array, dict[str, Array]]]) -> tuple[Array, dic
 def _without_false_gaps(
     time_s: Array, columns: dict[str, Array], tables: Sequence[Array]
 ) -> tuple[Array, dict[str, Array]]:
-    """Insert empty rows where merged rows are unevenly spaced although no table lacks rows, so that no gap is seen."""
+    """Insert empty rows where merged rows are uneven although no table lacks rows, to avoid gaps."""
     steps, period = np.diff(time_s), usual_step(time_s)
     uneven = np.flatnonzero(missing_rows(time_s))
     for times in tables:
@@ -424,7 +430,7 @@ def _without_false_gaps(
 def _hold_inputs(
     time_s: Array, columns: dict[str, Array], machine: Machine, remarks: list[str]
 ) -> tuple[Array, dict[str, Array]]:
-    """Hold inputs over empty cells, leave out the first rows if an input has no value there; append to the remarks."""
+    """Hold inputs over empty cells, leave out first rows where an input has none; append remarks."""
     begin = 0
     for channel in (*machine.input_channels, *machine.supply_channels):
         values = columns[channel]

@@ -15,14 +15,14 @@ from .log import Log
 
 
 def open_logs(path: Path) -> list[Log]:
-    """Open the logs of a file, in any registered format, and determine the names, units and rows of their columns.
+    """Open a file's logs, in any registered format, and determine the names, units and rows of their columns.
 
     Args:
         path: File of the log, or a folder that is one log, such as a bag of ROS 2.
 
     Raises:
-        InputError: If the file is empty, has no columns of numbers, or is of a kind that cannot be read. The message
-            says how to export it.
+        InputError: If the file is empty, has no columns of numbers, or is of a kind that cannot be read. The
+            message says how to export it.
     """
     start = b""
     if path.is_file():
@@ -41,14 +41,15 @@ def find_logs(path: str | Path) -> tuple[list[Path], list[Path]]:
         path: A log, whatever its ending, or a folder of logs.
 
     Returns:
-        logs: Files of the folder, in alphabetical order, with the endings of the registered formats (.csv, .txt, .mat,
-            ...), except documents such as readme.txt, and folders in it that are one log, such as bags of ROS 2; or the
-            one log.
+        logs: Files of the folder, in alphabetical order, with the endings of the registered formats (.csv,
+        .txt, .mat,
+            ...), except documents such as readme.txt, and folders in it that are one log, such as bags of ROS
+            2; or the one log.
         other_files: The remaining files of the folder, except hidden ones.
 
     Raises:
-        InputError: If the path does not exist, the folder has no logs, or two of them would become runs of the same
-            name.
+        InputError: If the path does not exist, the folder has no logs, or two of them would become runs of
+            the same name.
     """
     path = Path(path)
     if path.is_file():
@@ -110,6 +111,6 @@ def _data_set(folder: Path, formats: Sequence[LogFormat]) -> list[Path]:
 
 
 def _is_log(path: Path, formats: Sequence[LogFormat]) -> bool:
-    """Return whether a file of a folder is a log by its name or, where its ending leaves that open, by its content."""
+    """Return whether a folder's file is a log by its name or, if its ending leaves that open, its content."""
     name = path.name.lower()
     return any(name.endswith(kind.suffixes) and kind.is_log(path) for kind in formats)

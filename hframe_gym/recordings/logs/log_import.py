@@ -34,7 +34,8 @@ from .measurement_units import channel_dimension
 
 RunFormat = Literal["csv.gz", "csv", "parquet"]
 
-# s; a single motion takes a few seconds, so that a longer log probably holds several, with rests between them.
+# s; a single motion takes a few seconds, so that a longer log probably holds several, with rests between
+# them.
 _LONG_RUN = 60.0
 _UNUSED_ROWS = 20  # columns that are not used and get a row of the table; logs of machine tools have hundreds
 
@@ -77,8 +78,8 @@ class ImportSettings:
         split: Whether to cut each log into runs where the machine rests.
         min_rest: Shortest rest at which a log is cut, s.
         run_format: Ending of the recordings' files, which selects their format.
-        every: Approximate length of the runs into which each log is cut, s, also where the machine moves. None: logs
-            are not cut into equal pieces.
+        every: Approximate length of the runs into which each log is cut, s, also where the machine moves.
+            None: logs are not cut into equal pieces.
         intervals: Parts of the logs that become runs; a log for which there is none is imported whole.
         join: Files whose columns belong to each log, such as that of the commands; see `--join`.
     """
@@ -102,24 +103,25 @@ def import_logs(
 ) -> list[Path]:
     """Convert the logs of a controller or data logger to recordings of a machine.
 
-    The recordings are moved into the folder together, after all logs have been converted; a faulty log leaves the
-    folder unchanged.
+    The recordings are moved into the folder together, after all logs have been converted; a faulty log leaves
+    the folder unchanged.
 
     Args:
         logs: A log, or a folder of logs.
         out: Folder for the recordings; created if it does not exist. Existing runs are never replaced.
-        machine: Machine that was logged; the names of its input and output channels are the columns of the recordings.
+        machine: Machine that was logged; the names of its input and output channels are the columns of the
+            recordings.
         settings: Columns and units that the user assigned to channels, and whether to cut the logs into runs.
         log: Called with a line of text for everything that is converted, assumed or left out.
-        progress: Called with the work done and the total work, both in bytes of the logs; reading and writing count
-            once each.
+        progress: Called with the work done and the total work, both in bytes of the logs; reading and writing
+            count once each.
 
     Returns:
         Files of the recordings, in the order of the logs and of the times in each.
 
     Raises:
-        InputError: If a log is invalid, its columns cannot be assigned, or a run of the same name exists in the folder.
-            In all these cases nothing is written.
+        InputError: If a log is invalid, its columns cannot be assigned, or a run of the same name exists in
+            the folder. In all these cases nothing is written.
         OSError: If the folder cannot be written.
     """
     if settings.split and settings.every is not None:
@@ -162,12 +164,13 @@ def import_logs(
 def read_mapping_file(path: str | Path) -> MappingOptions:
     """Read a mapping file, which assigns a column of a log and its unit to each channel of the machine.
 
-    It has up to three tables with entries CHANNEL = VALUE: `map` (name of the column in the log), `unit` (unit of the
-    column) and `scale` (factor, applied after the conversion from `unit`). In TOML, for example: map.v1_V = "U1",
-    unit.phi1_rad = "deg", scale.x_m = 0.001.
+    It has up to three tables with entries CHANNEL = VALUE: `map` (name of the column in the log), `unit`
+    (unit of the column) and `scale` (factor, applied after the conversion from `unit`). In TOML, for example:
+    map.v1_V = "U1", unit.phi1_rad = "deg", scale.x_m = 0.001.
 
     Raises:
-        InputError: If the file cannot be read or has other tables or values. The message names file and field.
+        InputError: If the file cannot be read or has other tables or values. The message names file and
+            field.
     """
     path = Path(path)
     try:
@@ -198,7 +201,7 @@ def read_mapping_file(path: str | Path) -> MappingOptions:
 
 
 def parse_factor(where: str, factor: object) -> float:
-    """Read a dimensionless factor, a number or a text, by which the values of a column of a log are multiplied.
+    """Read a dimensionless factor, a number or a text, by which values of a log's column are multiplied.
 
     Args:
         where: File and field, or option, that has the factor, for the message.
@@ -216,7 +219,7 @@ def parse_factor(where: str, factor: object) -> float:
 
 
 class _Importer:
-    """Converts the logs of one session, one after the other, and tells the user what it converts or assumes."""
+    """Converts the logs of one session, one by one, and tells the user what it converts or assumes."""
 
     def __init__(
         self,
@@ -260,7 +263,7 @@ class _Importer:
         return [run for recording in recordings for run in self._cut(recording)]
 
     def _refuse_other_order(self, log: Log) -> None:
-        """Refuse a log in which a number of the user is another column than in the logs before, by its name."""
+        """Refuse a log in which a user's number is another column than in the logs before, by its name."""
         headers = [column.header for column in log.columns]
         for channel, reference in self._settings.mapping.columns.items():
             for number in re.findall(r"#\d+", reference):
@@ -319,7 +322,7 @@ class _Importer:
         self._progress(round(rows * self._bytes_per_row))
 
     def _log_mapping(self, log: Log, sources: Sequence[ChannelSource]) -> None:
-        """Report the format of a log and what each column was taken for, unless it is as for the log before."""
+        """Report a log's format and what each column was taken for, unless it is as for the log before."""
         lines = [f"  {line}" for line in (*log.remarks, *_column_table(log, sources, self._machine))]
         if lines == self._last_mapping:
             self._log(f"{log.title}: same format and columns as the log before")

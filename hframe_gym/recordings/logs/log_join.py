@@ -35,7 +35,7 @@ def open_joined(path: Path, others: Sequence[Path]) -> list[Log]:
 
 
 def _joined(log: Log, other: Log) -> Log:
-    """Return a log with the columns of two files; those of the second are renamed where the first has their names."""
+    """Return a log with the columns of two files; the second's are renamed where names agree."""
     headers = [column.header for column in (*log.columns, *log.times)]
     renamed: dict[LogColumn, LogColumn] = {}
     for position, column in enumerate((*other.columns, *other.times), start=len(log.columns) + 1):
@@ -72,7 +72,7 @@ def _joined(log: Log, other: Log) -> Log:
 
 
 def _free_header(column: LogColumn, position: int, headers: Collection[str]) -> str:
-    """Return the header of a column that no other one has: its own, "#7" for one without a name, or "time.2"."""
+    """Return the header of a column that no other has: its own, "#7" without a name, or "time.2"."""
     if column.header.startswith("#") and column.header[1:].isdigit():
         return f"#{position}"
     header, number = column.header, 1

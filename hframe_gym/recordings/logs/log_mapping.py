@@ -1,4 +1,4 @@
-"""Assign the columns of a log to the channels of a machine, and determine how to convert each to the channel's unit."""
+"""Assign the columns of a log to the channels of a machine, and determine the conversion of each."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ from .possible_maps import obstacle
 
 NOT_MEASURED = "none"  # given instead of a column: the output was not measured
 _EXAMPLE_RATE = "200Hz"  # in messages
-# Names of a column of sample times, in lower case, without blanks and punctuation; "xvalue" is that of LabVIEW.
+# Names of a column of sample times, in lower case, without blanks and punctuation; "xvalue" is that of
+# LabVIEW.
 _TIME_NAMES = ("time", "t", "timestamp", "zeit", "elapsedtime", "seconds", "sec", "xvalue", *TIME_HEADERS)
 
 
@@ -41,14 +42,14 @@ class MappingOptions:
     Unassigned channels are matched by the names and units in the log.
 
     Attributes:
-        columns: Column by channel: its name with or without its unit, "#3" for the third column, a sum or difference of
-            columns such as "x + y", or "none" for an output that was not measured. For "time_s", also several columns
-            separated by commas, or a rate such as "200Hz" if the log has no time column and its rows are equally
-            spaced.
-        units: Unit of the column by channel, for example {"phi1_rad": "deg", "v1_V": "%"}. It replaces the unit in the
-            header.
-        scales: Factor by channel. With `units`, values are first converted from that unit, then multiplied. Without
-            `units`, the unit in the header is ignored and the factor converts to the channel's unit.
+        columns: Column by channel: its name with or without its unit, "#3" for the third column, a sum or
+            difference of columns such as "x + y", or "none" for an output that was not measured. For
+            "time_s", also several columns separated by commas, or a rate such as "200Hz" if the log has no
+            time column and its rows are equally spaced.
+        units: Unit of the column by channel, for example {"phi1_rad": "deg", "v1_V": "%"}. It replaces the
+            unit in the header.
+        scales: Factor by channel. With `units`, values are first converted from that unit, then multiplied.
+            Without `units`, the unit in the header is ignored and the factor converts to the channel's unit.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -63,12 +64,14 @@ class ChannelSource:
     Attributes:
         channel: Name of the channel, or "time_s".
         column: Column of the log. None if the output was not measured.
-        time: `ChannelSource` of the sample times. None if this source is itself a time, or if it has no column.
+        time: `ChannelSource` of the sample times. None if this source is itself a time, or if it has no
+            column.
         conversion: Conversion to the unit of the channel; for a speed, to that unit per second.
         remark: What is converted or assumed, in words; "" if the values are used unchanged.
         unit_is_assumed: Whether neither the log nor the user states the unit, so that SI is assumed.
         integrate: Whether the column is a speed, whose integral over time is the channel.
-        set_by_user: Whether the user stated the unit or a factor (options --unit, --scale, or a mapping file).
+        set_by_user: Whether the user stated the unit or a factor (options --unit, --scale, or a mapping
+            file).
     """
 
     channel: str
@@ -84,18 +87,20 @@ class ChannelSource:
 def map_columns(log: Log, machine: Machine, options: MappingOptions) -> list[ChannelSource]:
     """Assign the columns of a log to the channels of a machine.
 
-    A column belongs to a channel if the options say so, or if it is the only one that has the name of the channel, with
-    any unit or none ("X [mm]", "x_mm" or "x" for x_m). Nothing else is guessed.
+    A column belongs to a channel if the options say so, or if it is the only one that has the name of the
+    channel, with any unit or none ("X [mm]", "x_mm" or "x" for x_m). Nothing else is guessed.
 
     Returns:
-        Sources (column and conversion of units): first those of the times, then one per channel of the machine, inputs
-        before outputs. `time` of each channel is the column of time of the same length (MATLAB) or, in a table, the
-        nearest one to its left. `column` is None for an output (sensor) that was not measured: the options assign
-        "none" to it (`--map NAME=none`), or no column has its name and only columns of text remain unassigned.
+        Sources (column and conversion of units): first those of the times, then one per channel of the
+        machine, inputs before outputs. `time` of each channel is the column of time of the same length
+        (MATLAB) or, in a table, the nearest one to its left. `column` is None for an output (sensor) that was
+        not measured: the options assign "none" to it (`--map NAME=none`), or no column has its name and only
+        columns of text remain unassigned.
 
     Raises:
-        InputError: If no column has the name of an output while columns other than text are unassigned; if an input or
-            the time has no column; if a channel has several; if a unit is unknown. The message proposes options.
+        InputError: If no column has the name of an output while columns other than text are unassigned; if an
+            input or the time has no column; if a channel has several; if a unit is unknown. The message
+            proposes options.
     """
     return _LogMapping(log, machine, options).sources()
 
@@ -105,7 +110,8 @@ class ProposedColumns(NamedTuple):
 
     Attributes:
         named: Header by channel, for the columns that `map_columns` assigns by their names.
-        proposed: Header by channel, for columns that the user should confirm; a channel without one is in neither.
+        proposed: Header by channel, for columns that the user should confirm; a channel without one is in
+            neither.
     """
 
     named: dict[str, str]
@@ -113,7 +119,7 @@ class ProposedColumns(NamedTuple):
 
 
 def propose_columns(log: Log, machine: Machine) -> ProposedColumns:
-    """Say which columns of a log `map_columns` assigns by name, and propose columns for the other channels."""
+    """Say which columns of a log `map_columns` assigns by name, and propose some for other channels."""
     return _LogMapping(log, machine, MappingOptions()).proposals()
 
 
@@ -134,7 +140,8 @@ class _LogMapping:
             column.header: self._time_of(column, times) for column in columns.values() if column is not None
         }
         used = time_of.values()
-        # Each timeseries of a MATLAB file has its own time; those of series that are no channel are no choice.
+        # Each timeseries of a MATLAB file has its own time; those of series that are no channel are no
+        # choice.
         times = [time for time in times if time in used or not _structure(time)]
         times = [*times, *(time for time in self.log.times if time in used)]
         time_sources = {time.header: self._source(TIME, time, None) for time in times}
@@ -188,8 +195,8 @@ class _LogMapping:
     def _time_columns(self) -> list[LogColumn]:
         """Return the columns of time: those that the user names, or else those named like a time.
 
-        If the user states a rate, this is the row number, which is not a column of the file. None are returned for a
-        log in which each column states its time.
+        If the user states a rate, this is the row number, which is not a column of the file. None are
+        returned for a log in which each column states its time.
         """
         reference = self.options.columns.get(TIME)
         if reference is None and self.log.times:
@@ -215,7 +222,7 @@ class _LogMapping:
         return [column for column in columns if column.header == TIME] or named
 
     def _assigned_columns(self, times: Sequence[LogColumn]) -> dict[str, LogColumn | None]:
-        """Return the column of each channel, from the user or by its name; None for an output that was not measured.
+        """Return the column of each channel, from the user or its name; None for an unmeasured output.
 
         The log is refused if a channel has no column, unless it is an output and no column is unassigned.
         """
@@ -237,7 +244,7 @@ class _LogMapping:
         return columns | dict.fromkeys(missing)
 
     def _named_like(self, channel: str) -> list[LogColumn]:
-        """Return the columns that have the name of a channel, except those whose unit is that of another quantity."""
+        """Return the columns with the name of a channel, except those with another quantity's unit."""
         return [
             column
             for column in self.log.columns_named_like(channel)
@@ -276,7 +283,7 @@ class _LogMapping:
                 raise InputError(f"{self.log.path}: {options}: {problem}{self._if_not_measured(channel)}")
 
     def _column_of_reference(self, channel: str, reference: str) -> LogColumn:
-        """Return the only column that a reference of the user names, or the sum of the columns that it names."""
+        """Return the one column that a user's reference names, or the sum of the columns that it names."""
         columns = self.log.columns_called(reference)
         if len(columns) == 1:
             return columns[0]
@@ -310,7 +317,7 @@ class _LogMapping:
         return LogColumn(header, header, first.unit, "number", first.rows, first.time, terms)
 
     def _time_of(self, column: LogColumn, times: Sequence[LogColumn]) -> LogColumn:
-        """Return the time of a column: the stated one, that of equal length, or in a table the nearest to its left."""
+        """Return a column's time: the stated one, that of equal length, or in a table the next left."""
         column = column.in_file[0]
         if column.time is not None:
             same = [time for time in times if time.time == column.time]  # another time that the user named
@@ -380,7 +387,7 @@ class _LogMapping:
         return ChannelSource(channel, column, time, conversion, remark, is_assumed, integrate, set_by_user)
 
     def _conversion(self, channel: str, column: LogColumn) -> UnitConversion:
-        """Return the conversion of a column from the stated unit, if there is one, followed by the user's factor."""
+        """Return the conversion of a column from the stated unit, if any, followed by the user's factor."""
         unit, scale = self._stated_unit(channel, column), self.options.scales.get(channel)
         accepted = accepted_units(self.machine, channel)
         rate = parse_rate(unit) if unit is not None and channel == TIME else None
@@ -403,7 +410,7 @@ class _LogMapping:
         return UnitConversion(from_unit.conversion.scaled(scale), from_unit.integrate, remark)
 
     def _stated_unit(self, channel: str, column: LogColumn) -> str | None:
-        """Return the unit of a column that the user or the log states; None if a factor without unit replaces it."""
+        """Return a column's unit that the user or the log states; None if a mere factor replaces it."""
         if channel in self.options.units:
             return normalize_unit(self.options.units[channel]) or None
         return None if channel in self.options.scales else column.unit or None
@@ -467,7 +474,7 @@ class _LogMapping:
         return advice + self._explained_obstacle(without, unused) + self._advice_about_tool(missing)
 
     def _advice_about_tool(self, channels: Sequence[str]) -> str:
-        """Say how the command of the first of some motors follows from set points of a tool that they move together."""
+        """Say how the first motor's command follows from set points of a tool that motors move together."""
         machine = self.machine
         of_coordinate = {machine.input_channels[k]: c for c, k in machine.position_commands.items()}
         for channel in (channel for channel in channels if channel in of_coordinate):
@@ -486,7 +493,7 @@ class _LogMapping:
         return ""
 
     def _explained_obstacle(self, channels: Sequence[str], unused: Sequence[LogColumn]) -> str:
-        """Explain for the first channel without a proposal why the first column of a known quantity cannot be it.
+        """Say for the first channel without a proposal why the first column of a known quantity is not it.
 
         A second clock needs no explanation.
         """
@@ -498,7 +505,7 @@ class _LogMapping:
         return ""
 
     def _if_not_measured(self, channel: str) -> str:
-        """Return the sentence that says how to leave out an output, to end a message; "" for other channels."""
+        """Return the sentence on how to leave out an output, to end a message; "" for other channels."""
         if channel not in self.machine.output_channels:
             return ""
         return f". If {channel} was not measured, add {_map_option(channel, NOT_MEASURED)}"

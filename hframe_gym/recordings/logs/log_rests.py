@@ -17,8 +17,8 @@ from ..recording import Recording
 _REST_NOISE = 10.0  # standard deviations of its noise,
 _REST_STEPS = 2.5  # quantization steps,
 _INPUT_TOLERANCE = 1e-3  # for an input, a fraction of the rated voltage.
-# All but the declared noise and resolution are limited to this fraction of the channel's span in the log. More is a
-# motion, however noisy the channel seems.
+# All but the declared noise and resolution are limited to this fraction of the channel's span in the log.
+# More is a motion, however noisy the channel seems.
 _MAX_REST_SPAN = 0.01
 
 
@@ -27,15 +27,16 @@ def split_at_rests(
 ) -> tuple[list[Recording], list[str]]:
     """Cut a recording into runs that begin at rest and, except perhaps the last one, end at rest.
 
-    The machine rests where no voltage and no measurement changes by more than noise and resolution for `min_rest` or
-    longer. A rest between two motions is cut in the middle; each of the two runs keeps at most `min_rest` of it. Rows
-    before the first rest are left out.
+    The machine rests where no voltage and no measurement changes by more than noise and resolution for
+    `min_rest` or longer. A rest between two motions is cut in the middle; each of the two runs keeps at most
+    `min_rest` of it. Rows before the first rest are left out.
 
     Args:
         min_rest: Shortest rest at which the recording is cut, s.
 
     Returns:
-        runs: One recording per motion (measurements of shape (n, sensors)), named NAME_01, NAME_02, ...; their times
+        runs: One recording per motion (measurements of shape (n, sensors)), named NAME_01, NAME_02, ...;
+        their times
             are unchanged, so they need not begin at 0.
         remarks: Sentences for the user about what was left out.
 
@@ -53,8 +54,8 @@ def split_at_rests(
     if resting.all():
         raise InputError(f"{recording.name}: nothing moves, so there are no runs to cut")
     begins_at_rest, ends_at_rest = first[0] == 0, last[-1] == len(time_s) - 1
-    # Where the run before each rest ends, and where the run after it begins. No run precedes the first row or follows
-    # the last, so that rests there are not cut in the middle.
+    # Where the run before each rest ends, and where the run after it begins. No run precedes the first row or
+    # follows the last, so that rests there are not cut in the middle.
     middle = (time_s[first] + time_s[last]) / 2
     latest_end, earliest_begin = middle.copy(), middle.copy()
     if begins_at_rest:
@@ -104,7 +105,8 @@ def _resting_rows(recording: Recording, machine: Machine, min_rest: float) -> ND
         high = maximum_filter1d(values, window, mode="nearest")[center : center + len(still)]
         low = minimum_filter1d(values, window, mode="nearest")[center : center + len(still)]
         still &= high - low <= tolerance
-    # A row rests if any window that contains it is still: if the number of still windows grows over their first rows.
+    # A row rests if any window that contains it is still: if the number of still windows grows over their
+    # first rows.
     still_before = np.concatenate([[0], np.cumsum(still)])
     first_window = np.maximum(np.arange(count) - window + 1, 0)
     last_window = np.minimum(np.arange(count), len(still) - 1)
@@ -112,7 +114,7 @@ def _resting_rows(recording: Recording, machine: Machine, min_rest: float) -> ND
 
 
 def _channels_with_tolerance(recording: Recording, machine: Machine) -> list[tuple[Array, float]]:
-    """Return for each channel its values, with empty cells filled by the last value, and its tolerance at rest."""
+    """Return for each channel its values, with empty cells as the last value, and its tolerance at rest."""
     channels = []
     for values, drive in zip(recording.inputs.T, machine.drives, strict=True):
         tolerance = max(_INPUT_TOLERANCE * drive.rated_voltage, _variation_at_rest(values))

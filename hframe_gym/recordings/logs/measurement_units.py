@@ -40,8 +40,8 @@ ALL_SPEED_UNITS = tuple(unit for units in SPEED_UNITS.values() for unit in units
 SI_UNITS: dict[Dimension, str] = {dimension: next(iter(units)) for dimension, units in UNITS.items()}
 SI_UNITS["duty cycle"] = "pu"
 _DIMENSION_OF_UNIT: dict[str, Dimension] = {unit: dimension for dimension, unit in SI_UNITS.items()}
-# Units of a duty cycle, which a log may have in place of a voltage: the value at which the drive's rated voltage is
-# applied.
+# Units of a duty cycle, which a log may have in place of a voltage: the value at which the drive's rated
+# voltage is applied.
 DUTY_UNITS = {"%": 100.0, "pu": 1.0}
 # Inputs of amplifiers that control the current or the torque, by the unit at the end of the channel's name.
 _COMMANDS: dict[str, Dimension] = {"A": "current", "Nm": "torque", "N": "force"}
@@ -72,8 +72,8 @@ class Conversion:
     def scaled(self, factor: float) -> Conversion:
         """Combine this conversion with a dimensionless `factor`, not zero.
 
-        If the inverse of the factor is a whole number, the conversion divides by it. This rounds correctly: 0.001
-        itself is not exact in binary numbers.
+        If the inverse of the factor is a whole number, the conversion divides by it. This rounds correctly:
+        0.001 itself is not exact in binary numbers.
         """
         inverse = round(1.0 / factor)
         if abs(inverse) > 1 and abs(inverse * factor - 1.0) < 1e-12:
@@ -106,10 +106,10 @@ def channel_dimension(machine: Machine, channel: str) -> Dimension:
     """Return the quantity of a channel.
 
     Returns:
-        "time"; for an output that of its unit, such as "length", "angular speed" or "current". For an input, the
-        command of its drive: "duty cycle", "current" or "torque", for a set point "angle", "linear speed" and the like;
-        if the drive has voltages, "current", "torque" or "force" where the channel's name ends in _A, _Nm or _N, else
-        "voltage".
+        "time"; for an output that of its unit, such as "length", "angular speed" or "current". For an input,
+        the command of its drive: "duty cycle", "current" or "torque", for a set point "angle", "linear speed"
+        and the like; if the drive has voltages, "current", "torque" or "force" where the channel's name ends
+        in _A, _Nm or _N, else "voltage".
     """
     if channel == TIME:
         return "time"
@@ -119,7 +119,8 @@ def channel_dimension(machine: Machine, channel: str) -> Dimension:
             return "duty cycle"
         if drive.law:
             return _DIMENSION_OF_UNIT[machine.command_unit(drive)]
-        # A drive of voltages whose Ke is 0 may control the current, the torque or the force that its channel names.
+        # A drive of voltages whose Ke is 0 may control the current, the torque or the force that its channel
+        # names.
         unit = split_unit(channel)[1] if drive.command == "voltage" else machine.command_unit(drive)
         return _COMMANDS.get(unit, "voltage")
     if channel in machine.supply_channels:
@@ -128,16 +129,18 @@ def channel_dimension(machine: Machine, channel: str) -> Dimension:
 
 
 def accepted_units(machine: Machine, channel: str) -> dict[str, UnitConversion]:
-    """Return the units that the column of a channel may have in a log, and how to convert each to the channel's unit.
+    """Return the units that a channel's column may have in a log, and each one's conversion to its unit.
 
-    The column of a position may be a speed, which is integrated. For a motor encoder whose channel is the travel of a
-    carriage, it may also be the angle or speed of the motor; so may the set point and the measured speed of a carriage
-    that a motor moves directly. The column of an input may be a fraction of the drive's rated value, and for a drive
-    without back-EMF (`Ke` 0, an amplifier that controls the current) a current or the torque of the motor.
+    The column of a position may be a speed, which is integrated. For a motor encoder whose channel is the
+    travel of a carriage, it may also be the angle or speed of the motor; so may the set point and the
+    measured speed of a carriage that a motor moves directly. The column of an input may be a fraction of the
+    drive's rated value, and for a drive without back-EMF (`Ke` 0, an amplifier that controls the current) a
+    current or the torque of the motor.
 
     Returns:
-        Conversions by unit: first the units of the channel's quantity, beginning with the SI unit, then units of the
-        other quantities: speeds, angle and speed of the motor, currents and torques, fractions of the rated value.
+        Conversions by unit: first the units of the channel's quantity, beginning with the SI unit, then units
+        of the other quantities: speeds, angle and speed of the motor, currents and torques, fractions of the
+        rated value.
     """
     dimension = channel_dimension(machine, channel)
     conversions: dict[str, UnitConversion] = {}
@@ -164,7 +167,7 @@ def accepted_units(machine: Machine, channel: str) -> dict[str, UnitConversion]:
 
 
 def _motor_units(machine: Machine, channel: str, dimension: Dimension) -> dict[str, UnitConversion]:
-    """Return the units of the motor that a set point or the measured speed of a carriage may have, such as rpm."""
+    """Return the units of the motor that a carriage's set point or speed may have, such as rpm."""
     counterparts: dict[Dimension, Dimension] = {"length": "angle", "linear speed": "angular speed"}
     motor = counterparts.get(dimension)
     if channel in machine.input_channels:
@@ -190,7 +193,8 @@ def _input_units(machine: Machine, channel: str, dimension: Dimension) -> dict[s
     drive = machine.drives[machine.input_channels.index(channel)]
     conversions: dict[str, UnitConversion] = {}
     if drive.Ke == 0.0 and dimension in ("voltage", "current"):
-        # The motor's torque is Kt times its current, which is the input over the resistance (1 ohm for an input in A).
+        # The motor's torque is Kt times its current, which is the input over the resistance (1 ohm for an
+        # input in A).
         torque = Conversion().scaled(drive.resistance / drive.Kt)
         for unit, factors in UNITS["torque"].items():
             conversions[unit] = UnitConversion(
@@ -213,10 +217,11 @@ def _input_units(machine: Machine, channel: str, dimension: Dimension) -> dict[s
 
 
 def wrong_unit_message(machine: Machine, channel: str, unit: str) -> str:
-    """Write the message, without file and column, for a unit that a channel cannot have, such as mm for a voltage.
+    """Write the message, without file and column, for an impossible unit, such as mm for a voltage.
 
-    It proposes the options --unit, with the possible units, and --scale. If `unit` is encoder counts, it also proposes
-    a factor: the declared resolution of the sensor. If it is a number of bits, the factor of a duty cycle follows.
+    It proposes the options --unit, with the possible units, and --scale. If `unit` is encoder counts, it also
+    proposes a factor: the declared resolution of the sensor. If it is a number of bits, the factor of a duty
+    cycle follows.
     """
     factor = f"a factor to {SI_UNITS[channel_dimension(machine, channel)]} by --scale {channel}=FACTOR"
     resolution = machine.sensor(channel).resolution if channel in machine.output_channels else 0.0
@@ -233,10 +238,10 @@ def wrong_unit_message(machine: Machine, channel: str, unit: str) -> str:
 
 
 def scaled_speed_message(machine: Machine, channel: str, unit: str) -> str:
-    """Write the message, without file and column, for a column in a unit of speed with a factor (--scale) but no unit.
+    """Write the message, without file and column, for a column of speed with a factor (--scale) but no unit.
 
-    Such a column is refused, because it is not known whether its values times the factor are speeds or positions. The
-    message proposes the option --unit with which the speed is integrated.
+    Such a column is refused, because it is not known whether its values times the factor are speeds or
+    positions. The message proposes the option --unit with which the speed is integrated.
     """
     dimension = channel_dimension(machine, channel)
     problem = f"{unit} is a speed, not {'a length' if dimension == 'length' else 'an angle'}"
@@ -258,8 +263,8 @@ def _shaft_drive(machine: Machine, channel: str) -> Drive | None:
 def _direct_drive(machine: Machine, channel: str) -> Drive | None:
     """Return the drive that moves the carriage which a sensor measures.
 
-    None if the channel is not an output, if the sensor measures something else, or if the carriage has several drives
-    of different gear ratios.
+    None if the channel is not an output, if the sensor measures something else, or if the carriage has
+    several drives of different gear ratios.
     """
     if channel not in machine.output_channels:
         return None

@@ -6,16 +6,17 @@ from ...machine import Machine
 from ..quantities import QUANTITIES, Meaning
 from .measurement_units import SI_UNITS, SPEED_UNITS, TIME, accepted_units, channel_dimension
 
-# What the output of a controller is often named after, although it is a voltage: a "torque" or "speed" that is written
-# to an amplifier. For these the user may state a unit of voltage.
+# What the output of a controller is often named after, although it is a voltage: a "torque" or "speed" that
+# is written to an amplifier. For these the user may state a unit of voltage.
 _COMMANDED = ("current", "torque", "force", "power", "speed", "position")
 _VOLTS = ("V", "mV")
 # What a sketch writes to its PWM is often called "speed" or "power".
 _WRITTEN_TO_PWM = ("speed", "power")
-# Percent and per unit mean a fraction of the supply voltage for these names ("throttle position"), and a fraction of a
-# rated value for others, such as a torque.
+# Percent and per unit mean a fraction of the supply voltage for these names ("throttle position"), and a
+# fraction of a rated value for others, such as a torque.
 _FRACTION_OF_VOLTAGE = (*_WRITTEN_TO_PWM, "position")
-# Units of the signals of sensors and amplifiers with an analog output; a factor converts them to what they stand for.
+# Units of the signals of sensors and amplifiers with an analog output; a factor converts them to what they
+# stand for.
 _ANALOG_UNITS = ("V", "mV", "mA")
 _AMPLIFIER_COMMANDS = ("current", "torque", "force")
 _MOTIONS = ("length", "angle")
@@ -25,16 +26,16 @@ _COUNTS = ("row number", "count")
 def obstacle(machine: Machine, channel: str, column: Meaning, unit: str | None, *, scaled: bool) -> str:
     """Say why a column cannot be a channel because it is another physical quantity.
 
-    A unit in the log is certain, a name is a guess: where the controller's output may have such a name, a unit that the
-    user states overrides it. A column whose header says nothing can be everything.
+    A unit in the log is certain, a name is a guess: where the controller's output may have such a name, a
+    unit that the user states overrides it. A column whose header says nothing can be everything.
 
     Args:
         unit: Unit that the user stated for the channel (--unit); None if none is stated.
         scaled: Whether the user stated a factor (--scale).
 
     Returns:
-        Two quantities and what is possible, as the end of a message, without a stop at its end; "" if the column can
-        be the channel.
+        Two quantities and what is possible, as the end of a message, without a stop at its end; "" if the
+        column can be the channel.
     """
     if not column.quantity or _is_possible(machine, channel, column, unit, scaled):
         return ""
@@ -53,7 +54,8 @@ def _is_possible(machine: Machine, channel: str, column: Meaning, unit: str | No
         )
         return not other_motion or scaled or unit is not None
     if channel == TIME and column.evidence == "name" and unit in accepted_units(machine, TIME):
-        return True  # the curve's name of a plotting tool, "effort_x,effort_y"; times that do not rise are refused
+        # The curve's name of a plotting tool, "effort_x,effort_y"; times that do not rise are refused.
+        return True
     if channel == TIME:
         return family in _COUNTS and (scaled or unit is not None)
     if family == "count":
@@ -88,7 +90,8 @@ def _can_be_command(machine: Machine, channel: str, column: Meaning, unit: str |
     if column.evidence == "unit":
         if column.unit in accepted_units(machine, channel):
             return True
-        # The command of an amplifier that controls the speed, or the monitor of one that controls the current.
+        # The command of an amplifier that controls the speed, or the monitor of one that controls the
+        # current.
         return scaled and (family == "speed" or (column.unit in _VOLTS and dimension != "voltage"))
     if unit in _VOLTS and dimension == "voltage":
         return family in _COMMANDED

@@ -1,4 +1,4 @@
-"""Read and write machine.json: a machine's components with parameter values, units and standard deviations."""
+"""Read and write machine.json: a machine's parts with parameter values, units and standard deviations."""
 
 from __future__ import annotations
 
@@ -22,15 +22,16 @@ def load_machine(source: str | Path | Machine) -> Machine:
     """Load a machine: a preset by name, or a machine.json by path.
 
     Warns:
-        UserWarning: For each value of the file that is possible but not plausible, such as a length in millimeters.
+        UserWarning: For each value of the file that is possible but not plausible, such as a length in
+        millimeters.
 
     Args:
-        source: Name of a preset (a key of `BUILTIN_MACHINES`, for example "hframe"), path of a machine.json, or a
-            machine, which is returned unchanged.
+        source: Name of a preset (a key of `BUILTIN_MACHINES`, for example "hframe"), path of a machine.json,
+            or a machine, which is returned unchanged.
 
     Raises:
-        InputError: If the source is of another type, neither a file nor a preset, or a field of the file or a value of
-            the machine is invalid. The message names the file and the field.
+        InputError: If the source is of another type, neither a file nor a preset, or a field of the file or a
+            value of the machine is invalid. The message names the file and the field.
     """
     if isinstance(source, Machine):
         require_machine(source)
@@ -143,7 +144,7 @@ def _quantity(
 
 
 def _field_name(location: tuple[int | str, ...], text: str) -> str:
-    """Return the dotted name of a field, with the names of components and channels instead of their indices."""
+    """Return the dotted name of a field, with names of components and channels instead of indices."""
     labels = []
     try:
         value: Any = json.loads(text) if location else None
@@ -162,7 +163,7 @@ def _field_name(location: tuple[int | str, ...], text: str) -> str:
 
 
 def _cause(errors: Sequence[Any]) -> Any:
-    """Return the first error of pydantic, or the unknown field beside it that is the missing one, mistyped."""
+    """Return pydantic's first error, or the unknown field beside it that is the mistyped missing one."""
     first = errors[0]
     *parents, field = first["loc"] or ("",)
     for error in errors if first["type"] == "missing" else ():

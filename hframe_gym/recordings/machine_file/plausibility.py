@@ -13,16 +13,18 @@ _OTHER_UNITS = ("_mm", "_um", "_cm", "_deg", "_counts")
 def implausible_values(machine: Machine) -> list[tuple[str, str]]:
     """List values of a machine that are possible but probably mistakes, so that the user is warned of them.
 
-    - Lengths so large that they were probably entered in millimeters, such as a pulley radius of more than 1 m.
-    - Factors in `Belt.extension` (extension of the belt per radius * angle of a pulley) that are no multiple of 1/2.
+    - Lengths so large that they were probably entered in millimeters, such as a pulley radius of more than
+      1 m.
+    - Factors in `Belt.extension` (extension of the belt per radius * angle of a pulley) that are no multiple
+      of 1/2.
     - Belts that would have a length of zero or less at an end of the coordinates' ranges.
     - Carriages (linear coordinates) that cannot move without stretching a belt.
     - The coordinate y listed before x.
     - Sensors whose names end in another unit than m or rad, such as x_mm.
 
     Returns:
-        For each doubtful value: name of the field with dots, such as "belts.left.rest_length", and a sentence that says
-        what is doubtful and what to do.
+        For each doubtful value: name of the field with dots, such as "belts.left.rest_length", and a sentence
+        that says what is doubtful and what to do.
     """
     doubts = [*_large_lengths(machine), *_doubtful_belts(machine)]
     if machine.tool_axes == ("y", "x"):

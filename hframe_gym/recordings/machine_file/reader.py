@@ -1,4 +1,4 @@
-"""Build a machine from the content of a machine.json; check names, units and signs, and warn of implausible values."""
+"""Build a machine from the content of a machine.json; check names, units, signs, and plausibility."""
 
 from __future__ import annotations
 
@@ -63,8 +63,8 @@ class MachineReader:
         """Convert the content of a machine.json to a machine; warn of each of the `implausible_values`.
 
         Raises:
-            InputError: If a name, unit, sign, reference or covariance is wrong, or an effect cannot act at its site.
-                The message names the file and the field.
+            InputError: If a name, unit, sign, reference or covariance is wrong, or an effect cannot act at
+                its site. The message names the file and the field.
         """
         machine = self._convert()
         for field, doubt in implausible_values(machine):
@@ -110,11 +110,11 @@ class MachineReader:
         return {c.name: c.kind for c in self.content.coordinates}
 
     def _error(self, field: str, reason: str) -> InputError:
-        """Return an error that names the file and the field, such as "drives.motor1.Kt", and says what to do."""
+        """Return an error that names the file and the field, e.g. "drives.motor1.Kt", and says what to do."""
         return InputError(f"{self.path}: {field}: {reason}")
 
     def _not_a_field(self, field: str, variant: Variant, kinds: Iterable[str]) -> InputError:
-        """Return an error for a field that a component lacks, with the kinds of the component that have it."""
+        """Return an error for a field that a component lacks, with the component's kinds that have it."""
         having = ", ".join(filter(None, dict.fromkeys(kinds)))
         return self._error(
             field, f"{variant.title} has none; delete it{having and f' (others have it: {having})'}"
@@ -137,7 +137,7 @@ class MachineReader:
     def _attributes(
         self, component: type[Component], entry: Any, variant: Variant, field: str
     ) -> dict[str, Any]:
-        """Return the attributes of a component by name; check that it has them, and their units and bounds."""
+        """Return a component's attributes by name; check that it has them, and their units and bounds."""
         own = {
             variant.field(a.name): a for a in component.attributes().values() if a.name not in variant.absent
         }
@@ -161,7 +161,7 @@ class MachineReader:
         return values
 
     def _value(self, field: str, attribute: Attribute, given: Any, variant: Variant) -> dict[str, Any]:
-        """Return an attribute, and its standard deviation if it is one, by name; check unit, bounds and text."""
+        """Return an attribute, and its standard deviation if given, by name; check unit, bounds and text."""
         name, declared = attribute.name, attribute.declared
         if isinstance(declared, Plain) and declared.form == "column":
             self._check_text(field, given, column=True)
@@ -187,7 +187,7 @@ class MachineReader:
             raise self._error(field, "must be [lowest, highest]")
 
     def _check_kind(self, field: str, kind: str, registry: Registry[Any]) -> None:
-        """Refuse a kind that is not registered; `Registry.get` would import the module of a name "module:kind"."""
+        """Refuse a kind that is not registered; `Registry.get` would import "module" of "module:kind"."""
         if kind not in registry:
             choices = ", ".join(registry)
             raise self._error(
@@ -253,7 +253,7 @@ class MachineReader:
     def _law_parameters(
         self, field: str, entry: Any, variant: Variant, law: Effect | None
     ) -> dict[str, float]:
-        """Return the parameters of the law of a drive's kind; those that are not stated have their defaults."""
+        """Return the parameters of the law of a drive's kind; unstated ones have their defaults."""
         names = [p.name for p in law.parameters] if law else []
         given: dict[str, QuantityEntry] = entry.parameters or {}
         for key, quantity in given.items():
@@ -277,7 +277,7 @@ class MachineReader:
             raise self._error(f"{field}.parameters", str(error)) from None
 
     def _sensor(self, entry: Any) -> Sensor:
-        """Return a sensor; without a declared kind, an encoder on a rotary coordinate and a laser on a linear one."""
+        """Return a sensor; without a kind, an encoder on a rotary coordinate and a laser on a linear one."""
         field = f"sensors.{entry.channel}"
         kind = "laser" if entry.kind is None else entry.kind
         self._check_text("sensors.channel", entry.channel, column=True)
@@ -349,7 +349,8 @@ class MachineReader:
                 f"{_OWN_PART}{suggestion(entry.name, EFFECTS)}",
             ) from None
         sites = effect_sites(definition, machine)
-        # A file may declare sites that no search tries, and already has the components that a structural effect adds.
+        # A file may declare sites that no search tries, and already has the components that a structural
+        # effect adds.
         if definition.structure or definition.site in ("drive", "drives", "sensor"):
             sites = definition.possible_sites(machine)
         if entry.site not in sites:

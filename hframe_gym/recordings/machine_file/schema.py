@@ -36,8 +36,8 @@ class Table(BaseModel):
     """Base class of all objects in machine.json: unknown fields and implicit type conversions are errors.
 
     Attributes:
-        comment: Text for the reader, a string or a list of lines. It is ignored, and not kept in files that the
-            commands derive from this one.
+        comment: Text for the reader, a string or a list of lines. It is ignored, and not kept in files that
+            the commands derive from this one.
     """
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
@@ -124,7 +124,7 @@ EFFECT_FIELDS: dict[type[Component], dict[str, EffectField]] = {
 
 
 def _description(component: type[Component], attribute: Attribute, having: set[str]) -> str:
-    """Return the description of a field with the kinds that have it; that of the kind tells what each kind is."""
+    """Return the description of a field with the kinds that have it; the kind's tells what each kind is."""
     if component.kinds is None:
         return attribute.description
     # Those of this package only: plugins do not change the published schema.
@@ -236,7 +236,8 @@ class MachineFile(Table):
 
     Attributes:
         schema: Version of the format.
-        $schema: Path or address of the JSON Schema, for editors that complete and check fields; it is ignored.
+        $schema: Path or address of the JSON Schema, for editors that complete and check fields; it is
+            ignored.
         name: Name of the machine.
         description: Sentence about the machine.
         coordinates: Coordinates, at least one.
@@ -276,8 +277,8 @@ def fields(table: type[Table]) -> dict[str, FieldInfo]:
 def field_units(info: FieldInfo) -> tuple[str, ...]:
     """Return the units that a quantity in machine.json may have; none for a field that holds no quantity.
 
-    Where there are two, the first is for linear coordinates and the second for rotary ones. Noise and resolution of a
-    sensor have the unit of what it measures.
+    Where there are two, the first is for linear coordinates and the second for rotary ones. Noise and
+    resolution of a sensor have the unit of what it measures.
     """
     extra: Any = info.json_schema_extra or {}
     return tuple(extra.get("properties", {}).get("unit", {}).get("enum", ()))
@@ -286,8 +287,8 @@ def field_units(info: FieldInfo) -> tuple[str, ...]:
 def field_descriptions(table: type[Table]) -> dict[str, str]:
     """Return the descriptions of the fields of one kind of object in machine.json, for example of a drive.
 
-    The JSON Schema and docs/machine.md quote them. They are read from the `Attributes` sections of the docstrings of
-    the components, of the object's class and of `Table`.
+    The JSON Schema and docs/machine.md quote them. They are read from the `Attributes` sections of the
+    docstrings of the components, of the object's class and of `Table`.
 
     Returns:
         Description by name of the field in the file; the field `comment` is last.
@@ -297,10 +298,10 @@ def field_descriptions(table: type[Table]) -> dict[str, str]:
 
 
 def machine_json_schema() -> dict[str, Any]:
-    """Return the JSON Schema (draft 2020-12) of machine.json, with the description and the units of every field.
+    """Return the JSON Schema (draft 2020-12) of machine.json, with description and units of every field.
 
-    It describes types, units and signs. Other rules, such as that a belt refers to existing coordinates or that a unit
-    suits a linear or rotary coordinate, are checked by `load_machine` alone.
+    It describes types, units and signs. Other rules, such as that a belt refers to existing coordinates or
+    that a unit suits a linear or rotary coordinate, are checked by `load_machine` alone.
     """
     schema = MachineFile.model_json_schema(by_alias=True)
     definitions = schema.pop("$defs")

@@ -1,4 +1,4 @@
-"""Cells of a table in text: how rows are split into them, and whether they are numbers, time stamps or empty."""
+"""Cells of a table in text: how rows are split into them, and if they are numbers, time stamps or empty."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ CONSECUTIVE = 3  # rows of numbers that mark the beginning of the data
 MISSING_WORDS = r"#?n/?a|null|none|nil|missing|#(?:num|value|ref)!|#div/0!|--+"
 _COMMENT_SIGNS = ("#", "%", "//")
 _MISSING = re.compile(rf"(?:{MISSING_WORDS}|[+-]?nan|)", re.IGNORECASE)
-# Also a number whose thousands are separated, which is refused later with advice; "1.0,0.5,0.2" is a row of numbers.
+# Also a number whose thousands are separated, which is refused later with advice; "1.0,0.5,0.2" is a row of
+# numbers.
 NUMBER = re.compile(
     r"[+-]?"
     r"(?:\d+(?:[.,]\d*)?|\d{1,3}(?:\.\d{3})+(?:,\d*)?|\d{1,3}(?:,\d{3})+(?:\.\d*)?|[.,]\d+)"
@@ -27,10 +28,10 @@ _TIME_STAMP = re.compile(rf"(?:{_DATE}[T ]+)?\d{{1,2}}:\d\d:\d\d(?:[.,]\d+)?(?:Z
 
 
 def split_row(line: str, separator: str) -> list[str]:
-    """Split a line into cells, without the blanks and quotation marks around them; a blank separates as several do.
+    """Split a line into cells, without blanks and quotation marks around them; blanks separate like one.
 
-    A separator between quotation marks does not split a cell. If the separator is a blank, however, quotation marks
-    have no effect and are kept.
+    A separator between quotation marks does not split a cell. If the separator is a blank, however, quotation
+    marks have no effect and are kept.
     """
     if separator == WHITESPACE:
         return line.split()
@@ -79,7 +80,7 @@ def detect_separator(lines: Sequence[str]) -> str:
 
 
 def is_data(row: Sequence[str], least: float = 0.5) -> bool:
-    """Return whether at least the fraction `least`, 0 to 1, of the cells with a value are numbers or time stamps."""
+    """Return whether the fraction `least`, 0 to 1, of cells with a value are numbers or time stamps."""
     numbers = texts = 0
     for cell in row:
         if is_number_or_stamp(cell):

@@ -20,14 +20,15 @@ _COMMENT_SIGN = re.compile(r"\s*(?:#+|%+|//+)\s*")
 _COMMENTS_WITH_NAMES = 3  # last comments above the data in which the names of the columns are looked for
 # Between the names of columns whose values blanks separate, where the names have blanks themselves.
 _GAP_OF_NAMES = re.compile(r" *\t[ \t]*| {2,}[ \t]*")
-# Last cells of a header that are no columns: LabVIEW's comments, start and increment of the time of an oscilloscope.
+# Last cells of a header that are no columns: LabVIEW's comments, start and increment of the time of an
+# oscilloscope.
 NOT_A_COLUMN = re.compile(r"comment|start|increment|(?:t0|tinc)\s*=.*", re.IGNORECASE)
 NO_HEADER = "it has no header"
 
 
 @dataclass(frozen=True)
 class _LineAbove:
-    """Line above the data that may have the names or units of the columns: its number, and its cells if they fit."""
+    """Line above the data that may have names or units of columns: its number, and its cells if they fit."""
 
     number: int
     cells: list[str]
@@ -48,10 +49,11 @@ class _LineAbove:
 def detect_header(
     lines: Sequence[str], cells: Sequence[Sequence[str]], first: int, widths: Sequence[int], separator: str
 ) -> tuple[list[str], list[str], list[str]]:
-    """Find names ("#1", ... without a header) and units of the columns above the first row of numbers, and deviations.
+    """Find names ("#1", ... without a header) and units of columns above the first numbers, and deviations.
 
-    They are in the last line above the data and in the line before it, in either order; if the last line that is no
-    comment does not fit, they are in comments. `widths` are the numbers of cells of the rows, and of names that fit.
+    They are in the last line above the data and in the line before it, in either order; if the last line that
+    is no comment does not fit, they are in comments. `widths` are the numbers of cells of the rows, and of
+    names that fit.
     """
     deviations = ["its first line is sep="] if lines[0].lower().startswith("sep=") else []
     above = []
@@ -121,7 +123,7 @@ def _names_and_units(above: Sequence[_LineAbove]) -> tuple[_LineAbove | None, _L
 
 
 def _nearest_names(above: Sequence[_LineAbove]) -> _LineAbove | None:
-    """Return the last line that may have names; lines of numbers below it, such as sampling periods, have none."""
+    """Return the last line that may have names; numbers below it, such as sampling periods, have none."""
     for line in reversed(above):
         if not line.cells or not all(map(is_number_or_stamp, filter(None, line.cells))):
             return line if line.cells else None

@@ -1,4 +1,4 @@
-"""Parts of the rows of a text that do not belong to a table: brackets, arrows, letters, names before numbers."""
+"""Parts of a text's rows that do not belong to a table: brackets, arrows, letters, names before numbers."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ _ENCLOSED = re.compile(r"(?P<letter>[A-Za-z])[-+.\d][-+.\d\t]*\d(?P=letter)[ \t]
 def find_edits(lines: Sequence[str]) -> tuple[list[tuple[re.Pattern[str], str]], list[str], list[str]]:
     """Find the parts of lines that do not belong to a table.
 
-    Return patterns with their replacements, names of columns that stand before the numbers, and deviations from a
-    recording.
+    Return patterns with their replacements, names of columns that stand before the numbers, and deviations
+    from a recording.
     """
     rows = [line.rstrip(" ") for line in lines if not is_comment(line) and any(map(str.isdigit, line))]
     edits: list[tuple[re.Pattern[str], str]] = []
@@ -77,9 +77,10 @@ def _enclosing_letter(rows: Sequence[str]) -> str:
 
 
 def _labels(rows: Sequence[str], lines: Sequence[str]) -> tuple[re.Pattern[str], list[str]]:
-    """Return the pattern and the names of texts before the numbers of all last rows; no names if a row differs.
+    """Return the pattern and the names of texts before the numbers of all last rows; none if a row differs.
 
-    A colon follows a name ("speed:1.5"), or, if no line is a header, the separator of the cells ("speed,1.5,x,0.2").
+    A colon follows a name ("speed:1.5"), or, if no line is a header, the separator of the cells
+    ("speed,1.5,x,0.2").
     """
     for last in (rows[-CONSECUTIVE:], rows[-CONSECUTIVE - 1 : -1]):  # the last row may be incomplete
         if names := _labels_with_colon(last):

@@ -24,7 +24,7 @@ SUFFIXES = (".csv", ".csv.gz", ".parquet")
 
 
 class ForeignFormatError(InputError):
-    """A table is not UTF-8 text with commas between the cells, decimal points and a header in the first line."""
+    """A table is not UTF-8 with commas between the cells, decimal points and a header in the first line."""
 
 
 def read_table(
@@ -38,13 +38,13 @@ def read_table(
         max_rows: Number of rows after which reading stops. Default: all rows are read.
 
     Returns:
-        Names of the columns in the order of the file, and the values of each column by its name, in the unit of the
-        file, shape (rows,); NaN where a cell is empty or is a word such as NA, NaN or #N/A.
+        Names of the columns in the order of the file, and the values of each column by its name, in the unit
+        of the file, shape (rows,); NaN where a cell is empty or is a word such as NA, NaN or #N/A.
 
     Raises:
         ForeignFormatError: If the table has another format, such as semicolons between the columns.
-        InputError: If the file cannot be read, rows differ in length, or a cell is not a number. The message names
-            file, row and column.
+        InputError: If the file cannot be read, rows differ in length, or a cell is not a number. The message
+            names file, row and column.
     """
     if not path.is_file():
         raise InputError(f"{path}: {'is a folder, give one file of it' if path.is_dir() else 'no such file'}")
@@ -57,7 +57,7 @@ def read_table(
 
 
 def recording_files(folder: Path) -> list[Path]:
-    """List the recordings, .csv, .csv.gz and .parquet, of a folder in alphabetical order, without hidden files."""
+    """List the recordings, .csv, .csv.gz and .parquet, of a folder alphabetically, without hidden files."""
     return sorted(
         p
         for p in folder.iterdir()
@@ -86,7 +86,7 @@ def compressed_by_name(
 
 
 def import_command(path: Path) -> str:
-    """Return the command line `hframe import ... RUNS` that converts a log to recordings, for error messages."""
+    """Return the command `hframe import ... RUNS` that converts a log to recordings, for error messages."""
     return f"hframe import {quoted(str(path))} --out RUNS"
 
 
@@ -98,8 +98,8 @@ def cell_text(path: Path, name: str, column: Array, row: int) -> str:
         row: Index of the row, from 0.
 
     Returns:
-        Text such as "run.csv, row 3, column x_m: 25", with rows from 1, or "run.csv, row 3, column x_m: value" for an
-        empty cell, so that " is empty" can follow.
+        Text such as "run.csv, row 3, column x_m: 25", with rows from 1, or "run.csv, row 3, column x_m:
+        value" for an empty cell, so that " is empty" can follow.
     """
     value = "value" if np.isnan(column[row]) else f"{column[row]:g}"
     return f"{path}, row {row + 1}, column {name}: {value}"
@@ -121,7 +121,7 @@ def refuse_rows(path: Path, name: str, column: Array, invalid: NDArray[np.bool_]
 
 
 def refuse_decreasing_times(path: Path, time_s: Array) -> None:
-    """Raise an InputError, with file and row, if times `time_s`, s, shape (rows,), do not increase strictly."""
+    """Raise an InputError, with file and row, if times `time_s`, s, shape (rows,), fail to increase."""
     backward = np.flatnonzero(np.diff(time_s) <= 0.0)
     if len(backward):
         row = int(backward[0]) + 2
@@ -134,12 +134,13 @@ def read_path(path: str | Path) -> tuple[Array, Array | None]:
     """Read the path that the tool follows in the task `track`: columns x_m and y_m, and optionally time_s.
 
     Returns:
-        Points (x, y) of the tool, m, shape (n, 2), and their times, s, shifted so that the first is zero, shape (n,),
-        or None if the file has no times.
+        Points (x, y) of the tool, m, shape (n, 2), and their times, s, shifted so that the first is zero,
+        shape (n,), or None if the file has no times.
 
     Raises:
-        InputError: If the file cannot be read or has other columns, fewer than two rows, a cell that is empty or
-            infinite, or times that do not increase. The message names the file, and row and column where there is one.
+        InputError: If the file cannot be read or has other columns, fewer than two rows, a cell that is empty
+            or infinite, or times that do not increase. The message names the file, and row and column where
+            there is one.
     """
     path = Path(path)
     header, columns = read_table(path)
@@ -181,8 +182,8 @@ def open_parquet(path: Path) -> Any:
     """Open a Parquet file without reading its columns, and check that they are not too large for the memory.
 
     Raises:
-        InputError: If pyarrow is missing, the file is damaged, two columns have the same name, the columns have more
-            than 1e9 values, or their content is larger than 64 MB and than 100 times the file.
+        InputError: If pyarrow is missing, the file is damaged, two columns have the same name, the columns
+            have more than 1e9 values, or their content is larger than 64 MB and than 100 times the file.
     """
     try:
         import pyarrow.parquet as parquet
@@ -226,7 +227,7 @@ def read_parquet_column(path: Path, file: Any, name: str, max_rows: int | None =
 
 
 def parquet_numbers(path: Path, name: str, column: Any) -> Array:
-    """Convert a Parquet column to numbers, shape (rows,), NaN where empty; an InputError if one is not exact."""
+    """Convert a Parquet column to numbers, shape (rows,), NaN where empty; InputError if one is not exact."""
     try:
         return np.asarray(column.cast("double").to_numpy(), np.float64)
     except Exception as error:  # pyarrow raises many types, some of them private

@@ -33,7 +33,8 @@ from .header_lines import NO_HEADER, NOT_A_COLUMN, detect_header
 from .row_edits import find_edits
 
 _SAMPLE = MAX_LINE  # bytes that determine the format
-# As `CONSECUTIVE`, where a row begins with a text, as lines above the data do in some logs ("Delta_X 0.001 0.001").
+# As `CONSECUTIVE`, where a row begins with a text, as lines above the data do in some logs ("Delta_X 0.001
+# 0.001").
 _CONSECUTIVE_TEXTS = 10
 
 
@@ -49,10 +50,10 @@ class TextFormat:
         names: Names of the columns as written; "#1", "#2", ... if the file has no header.
         units: Units in the row below the header, "" where there is none, in the order of the names.
         kinds: What each column contains: "number", "stamp" (time, with or without a date) or "text".
-        edits: Patterns that are replaced in the text before it is split into cells, with their replacements: separators
-            at the end of rows, names before numbers.
-        deviations: What distinguishes the file from a recording (UTF-8, commas, points, a header in the first line), in
-            words; empty for a plain file.
+        edits: Patterns that are replaced in the text before it is split into cells, with their replacements:
+            separators at the end of rows, names before numbers.
+        deviations: What distinguishes the file from a recording (UTF-8, commas, points, a header in the first
+            line), in words; empty for a plain file.
     """
 
     encoding: str
@@ -66,7 +67,7 @@ class TextFormat:
     edits: tuple[tuple[re.Pattern[str], str], ...] = ()
 
     def edited(self, text: str) -> str:
-        """Remove from complete lines below the header the parts that do not belong to a table, see `edits`."""
+        """Remove from complete lines below the header what does not belong to a table, see `edits`."""
         for pattern, replacement in self.edits:
             text = pattern.sub(replacement, text)
         return text
@@ -76,8 +77,8 @@ def detect_format(path: Path) -> TextFormat:
     """Detect the format of a text file, possibly compressed by gzip, from its beginning.
 
     Raises:
-        InputError: If the file cannot be read, is empty or is not text, its first line is too long, or commas are both
-            separators and decimal marks.
+        InputError: If the file cannot be read, is empty or is not text, its first line is too long, or commas
+            are both separators and decimal marks.
     """
     encoding, deviations = _detect_encoding(path)
     lines = _first_lines(path, encoding)
@@ -129,7 +130,7 @@ def detect_format(path: Path) -> TextFormat:
 
 
 def _first_lines(path: Path, encoding: str) -> list[str]:
-    """Return the complete lines at the beginning of a file; an empty file and a long first line are refused."""
+    """Return the complete lines at the beginning of a file; empty files and long first lines are refused."""
     with open_text(path, encoding) as (file, _):
         sample = file.read(_SAMPLE)
     if not sample.strip():
@@ -160,8 +161,8 @@ def open_text(path: Path, encoding: str) -> Iterator[tuple[TextIO, BinaryIO]]:
     """Open a text file, possibly compressed by gzip; errors while it is read are raised as InputError.
 
     Yields:
-        Two streams: the text, with line feeds as line ends, and the underlying file, whose position shows how many
-        bytes have been read.
+        Two streams: the text, with line feeds as line ends, and the underlying file, whose position shows how
+        many bytes have been read.
 
     Raises:
         InputError: If the file cannot be opened, decompressed or decoded.
@@ -201,9 +202,10 @@ def _detect_encoding(path: Path) -> tuple[str, list[str]]:
 
 
 def _first_row(cells: Sequence[Sequence[str]]) -> tuple[int, int]:
-    """Return the line of the first row of numbers (the number of lines if there is none), and the cells of a row.
+    """Return the line of the first row of numbers (or the number of lines), and the cells of a row.
 
-    Above the data there may be lines with a name and a number, which rows of three and more cells differ from.
+    Above the data there may be lines with a name and a number, which rows of three and more cells differ
+    from.
     """
     filled = [i for i, row in enumerate(cells) if any(row)]
     widths = Counter(len(cells[i]) for i in filled if is_data(cells[i]))

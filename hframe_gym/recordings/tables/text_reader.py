@@ -32,7 +32,8 @@ _CELL_SEPARATOR = "\x1f"
 _SHOWN = 40  # characters of a faulty row that a message repeats
 # Lines below the data, such as settings of the controller: more than these are a damaged table.
 _MOST_LINES_BELOW = 100
-# Decimal commas become points. Points, which then separate thousands, become a character that numbers do not have.
+# Decimal commas become points. Points, which then separate thousands, become a character that numbers do not
+# have.
 _FOREIGN_MARK = "'"
 _FROM_DECIMAL_COMMA = str.maketrans(",.", "." + _FOREIGN_MARK)
 _FROM_DECIMAL_POINT = str.maketrans(",", _FOREIGN_MARK)
@@ -41,7 +42,7 @@ _TIME_ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)$")
 
 
 def cumulative(progress: Callable[[int, int], None] | None, total: int) -> Progress:
-    """Return a function that adds up increments of some work and reports sum and total to `progress`, if any."""
+    """Return a function that adds up increments of work and reports sum and total to `progress`, if any."""
     done = 0
 
     def add(increment: int) -> None:
@@ -65,19 +66,22 @@ def read_columns(
     """Read columns of numbers and time stamps from a text file.
 
     Args:
-        lenient: Whether to leave out comment lines, rows without any value, lines of text below the data, and the last
-            row if it is incomplete. Otherwise, these are errors, and a row without values is read as NaN.
+        lenient: Whether to leave out comment lines, rows without any value, lines of text below the data, and
+            the last row if it is incomplete. Otherwise, these are errors, and a row without values is read as
+            NaN.
         progress: Called with the number of bytes read since the last call.
         max_rows: Number of rows after which reading stops. Default: all rows are read.
 
     Returns:
-        values: One array per column, in the unit of the file, shape (rows,): float64, NaN where a cell is empty, or
-            datetime64[ns] for a column of time stamps (NaT where empty; times of day have the date 1970-01-01).
+        values: One array per column, in the unit of the file, shape (rows,): float64, NaN where a cell is
+        empty, or
+            datetime64[ns] for a column of time stamps (NaT where empty; times of day have the date
+            1970-01-01).
         remarks: Sentences for the user about lines and an incomplete last row that were left out.
 
     Raises:
-        InputError: If the file cannot be read, rows differ in length, or a cell is not a number. The message names
-            file, row and column.
+        InputError: If the file cannot be read, rows differ in length, or a cell is not a number. The message
+            names file, row and column.
     """
     reader = _BlockReader(path, layout, columns, lenient)
     for block, is_last in _blocks(path, layout, progress):
@@ -109,7 +113,8 @@ def parse_stamps(cells: Sequence[str]) -> NDArray[np.datetime64]:
     """Convert time stamps (dates, times of day, or both) to NumPy's time type.
 
     Returns:
-        Times, datetime64[ns], shape (len(cells),). A time of day has the date 1970-01-01; a missing value is NaT.
+        Times, datetime64[ns], shape (len(cells),). A time of day has the date 1970-01-01; a missing value is
+        NaT.
 
     Raises:
         ValueError: If a cell is not a time stamp.
@@ -209,7 +214,7 @@ class _BlockReader:
         refuse_many_values(self._path, self._rows, len(self.numbers) + len(self.stamps))
 
     def _split_end(self, block: str) -> tuple[str, list[str]]:
-        """Split lines into those up to the last row, and lines of text below it, such as settings of a controller."""
+        """Split lines into those up to the last row, and text below it, such as a controller's settings."""
         lines = block.rsplit("\n", _MOST_LINES_BELOW)
         end = len(lines)
         while end > 1 and not self._may_be_row(lines[end - 1]):
@@ -217,7 +222,7 @@ class _BlockReader:
         return "\n".join(lines[:end]), lines[end:]
 
     def _may_be_row(self, line: str) -> bool:
-        """Return whether a line begins with a value, as an incomplete row does too, or has a value in each column."""
+        """Return whether a line begins with a value, as incomplete rows do, or has one in each column."""
         cells = split_row(line, self._layout.separator) or [""]
         if is_number_or_stamp(cells[0]) or is_missing(cells[0]):
             return True
@@ -245,7 +250,7 @@ class _BlockReader:
         return block.replace(separator, ",")
 
     def _convert(self, text: str) -> bool:
-        """Append the numbers and time stamps of a block; return False if a cell is not what its column contains."""
+        """Append the numbers and time stamps of a block; return False if a cell is of another type."""
         for fill_blanks in (True,) if self._had_blanks else (False, True):
             if fill_blanks:
                 text = _MISSING_CELL.sub("nan", text)

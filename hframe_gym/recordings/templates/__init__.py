@@ -1,4 +1,4 @@
-"""New machines from templates: a built-in machine with other values, and comments on the fields of its file."""
+"""New machines from templates: a built-in machine with other values, and comments on its file's fields."""
 
 from .commented_file import write_machine_template
 from .new_machine import new_machine

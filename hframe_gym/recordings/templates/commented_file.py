@@ -25,7 +25,8 @@ def write_machine_template(like: str, machine: Machine, path: Path) -> None:
         path: File to write; a missing folder is created, an existing file is replaced.
 
     Raises:
-        InputError: If a value of the machine is not allowed, such as a negative mass; nothing is written then.
+        InputError: If a value of the machine is not allowed, such as a negative mass; nothing is written
+            then.
         OSError: If the file cannot be written.
     """
     content = machine_to_dict(machine)

@@ -23,9 +23,9 @@ COMMANDS = {
     "position": "command",
     "speed": "command",
 }
-# Loop of a drive that follows a set point. Its speed follows with 100 1/s (16 Hz), below the belt modes of small
-# stages; the other corner frequencies are a quarter and a fifth of it, as is usual (Ellis 2012, Control System
-# Design Guide).
+# Loop of a drive that follows a set point. Its speed follows with 100 1/s (16 Hz), below the belt modes of
+# small stages; the other corner frequencies are a quarter and a fifth of it, as is usual (Ellis 2012, Control
+# System Design Guide).
 _SPEED_BANDWIDTH, _INTEGRAL_RATE, _POSITION_GAIN = 100.0, 25.0, 20.0  # 1/s
 # What a DC motor has at rest at its rated voltage: A, Nm.
 _AT_REST: dict[str, Callable[[Drive], float]] = {
@@ -54,7 +54,7 @@ def with_motor_values(machine: Machine, drive: Drive, options: MachineOptions) -
 
 
 def shaft_inertias(machine: Machine) -> Array:
-    """Return the moment of inertia that each motor shaft moves while the other drives hold, kg m^2, shape (drives,)."""
+    """Return the inertia that each motor shaft moves while other drives hold, kg m^2, shape (drives,)."""
     per_axis = rest_positions_per_axis(machine)  # (coordinates, axes)
     of_drives = per_axis[[machine.coordinate_names.index(d.coordinate) for d in machine.drives]]
     axes = np.linalg.inv(of_drives)  # travel of each axis per position of each drive
@@ -90,7 +90,7 @@ def with_command(machine: Machine, drive: Drive, kind: str | None, inertia: floa
 
 
 def _set_point_drive(drive: Drive, kind: str, channel: str, inertia: float) -> Drive:
-    """Return a drive whose loop makes the same motor follow positions or speeds; `inertia` at its shaft in kg m^2."""
+    """Return a drive whose loop makes the motor follow positions or speeds; `inertia`: kg m^2."""
     values = {
         "speed_gain": _SPEED_BANDWIDTH * inertia,
         "integral_rate": _INTEGRAL_RATE,

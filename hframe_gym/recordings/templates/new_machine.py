@@ -18,16 +18,16 @@ from .texts import TEMPLATES
 def new_machine(like: str, name: str, options: MachineOptions) -> Machine:
     """Create a machine from a template, with the user's values in place of some of the template's.
 
-    The lengths of the belts are adapted to the travel, and the resolution of the encoders to their lines and the gear
-    ratio.
+    The lengths of the belts are adapted to the travel, and the resolution of the encoders to their lines and
+    the gear ratio.
 
     Args:
         like: Template, one of `TEMPLATES`.
         options: Values of the new machine, each None where the template's value is kept.
 
     Raises:
-        InputError: If the template or a parameter in `options.values` is unknown, an option is not positive or does not
-            fit the template, or the machine would have no sensor.
+        InputError: If the template or a parameter in `options.values` is unknown, an option is not positive
+            or does not fit the template, or the machine would have no sensor.
     """
     if like not in TEMPLATES:
         raise InputError(f"--like {like}: choose one of {', '.join(TEMPLATES)}{suggestion(like, TEMPLATES)}")

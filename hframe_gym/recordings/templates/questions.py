@@ -24,7 +24,8 @@ class TemplateQuestion:
 
     Attributes:
         option: Its name in `MachineOptions`.
-        default: Value of the template, SI; for `travel` and `mass` a text with one value per axis, separated by commas.
+        default: Value of the template, SI; for `travel` and `mass` a text with one value per axis, separated
+            by commas.
         choices: The answers that are accepted, and what each means; empty if the answer is a value.
         several: Whether the answer is any number of the choices, by default none, instead of one.
         alternative: Another option in `MachineOptions` that states the same quantity; empty if there is none.
@@ -39,7 +40,7 @@ class TemplateQuestion:
 
 
 def template_questions(like: str) -> tuple[TemplateQuestion, ...]:
-    """Return the options of a template in the order in which they are asked for; they follow from its machine."""
+    """Return the options of a template in the order of the questions; they follow from its machine."""
     machine = BUILTIN_MACHINES[like]()
     drive, axes = machine.drives[0], [machine.coordinate(name) for name in machine.tool_axes]
     moved = machine.coordinate(drive.coordinate)

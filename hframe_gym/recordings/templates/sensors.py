@@ -38,7 +38,7 @@ def sensors_of(
 
 
 def _parts(machine: Machine, kind: str) -> tuple[str, tuple[str, ...]]:
-    """Return at what sensors of a kind measure, such as "drive", and the names of these components of a machine."""
+    """Return where sensors of a kind measure, such as "drive", and a machine's components of this type."""
     component = SENSED_QUANTITIES[SENSOR_KINDS.get(kind).quantity()].component
     if component == "drive":
         return component, tuple(drive.name for drive in machine.drives)
@@ -50,7 +50,7 @@ def _parts(machine: Machine, kind: str) -> tuple[str, tuple[str, ...]]:
 
 
 def further_sensors(machine: Machine) -> dict[str, str]:
-    """Return the sensors of all kinds that a machine may have beside its own, KIND@PART, and what each measures."""
+    """Return the sensors that a machine may have beside its own, KIND@PART, and what each measures."""
     load_plugins()  # may register kinds
     present = [(sensor.kind, sensor.row) for sensor in machine.sensors]
     choices = {}
@@ -63,7 +63,7 @@ def further_sensors(machine: Machine) -> dict[str, str]:
 
 
 def further_sensor(machine: Machine, text: str) -> Sensor:
-    """Return the sensor that a text KIND@PART describes; its channel is named by the part and ends in its unit."""
+    """Return the sensor of a text KIND@PART; its channel is named by the part and ends in its unit."""
     kind, separator, part = text.partition("@")
     if not separator:
         raise InputError(f"--sensor {text}: write KIND@PART, for example speed@{machine.tool_axes[0]}")

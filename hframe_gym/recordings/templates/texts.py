@@ -15,8 +15,8 @@ class Template:
     Attributes:
         comment: How the coordinates are counted, for the file.
         coordinates: Comments by name of the coordinate; without one, it is the pulley of a motor.
-        lengths: m of rest length of each belt section per m of travel along x and y: the frame grows with the travel,
-            and with it the belts.
+        lengths: m of rest length of each belt section per m of travel along x and y: the frame grows with the
+            travel, and with it the belts.
     """
 
     title: str

@@ -1,4 +1,4 @@
-"""Tests of the decision whether encoders drift, on simulated recordings of the machine that the estimator knows."""
+"""Tests of the decision whether encoders drift, on simulated recordings of the estimator's machine."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ PERIOD, PERIODS, COUNT = 0.01, 15, 64
 
 @pytest.fixture(scope="module")
 def motion():
-    """Return states (PERIODS + 1, B, 8), actions (PERIODS, B, 2) and logarithms of parameter ratios by name."""
+    """Return states (PERIODS + 1, B, 8), actions (PERIODS, B, 2) and log parameter ratios by name."""
     envs = HFrameVectorEnv(COUNT, randomize="default")
     model, controller = MotionModel(MACHINE), CONTROLLERS.get("pid")(MACHINE, PERIOD)
     observation, _ = envs.reset(seed=0)
@@ -89,6 +89,7 @@ def test_the_estimates_for_a_policy_account_for_a_dead_time_of_the_drives(delay_
             observation = envs.step(actions)[0]
         return np.abs(augmented["estimates"]).max()
 
-    # The machines have their declared parameters. With the voltages as sent, estimates reach their limit of 1.2.
+    # The machines have their declared parameters. With the voltages as sent, estimates reach their limit of
+    # 1.2.
     assert estimates(MACHINE) < 0.02
     assert estimates(delayed) < 0.03

@@ -22,7 +22,7 @@ LASERS = tuple(Sensor(f"{name}_m", {name: 1.0}, NOISE) for name in ("x", "y"))
 
 
 def with_rig(machine: Machine, span: float) -> Machine:
-    """Return the machine with encoders and with lasers whose range of length `span`, m, is around the middle."""
+    """Return the machine with encoders, and lasers whose range of length `span`, m, is in the middle."""
     measured = machine.replace(sensors=(*LASERS, *ENCODERS))
     if np.isinf(span):
         return measured
@@ -147,7 +147,7 @@ def test_a_load_that_no_sensor_sees_is_estimated(hframe: Machine) -> None:
 
 
 def test_follows_measurements_that_no_model_explains(hframe: Machine) -> None:
-    """A stage at rest is displaced by 5 mm by hand; a filter without covariance inflation would follow slowly."""
+    """A stage at rest is displaced by 5 mm by hand; a filter without inflation would follow slowly."""
     estimator, measure = StateEstimator(with_rig(hframe, np.inf), PERIOD), RigMeasurements(np.inf, 7)
     positions = np.repeat([[0.0, 0.0], [0.005, 0.0]], [50, 20], axis=0)
     for k, position in enumerate(positions):
@@ -188,7 +188,7 @@ def test_lasers_at_the_ends_of_their_ranges_change_nothing(hframe: Machine) -> N
 
 
 def test_delay_of_a_laser_is_compensated(hframe: Machine) -> None:
-    """Measurements that are 5 ms old, of a tool that moves at up to 0.3 m/s, with and without a declared delay."""
+    """Measurements that are 5 ms old, of a tool at up to 0.3 m/s, with and without a declared delay."""
     volts, motion = random_motion(hframe, (0.0, 0.0), 60)
     fine = simulate(
         hframe, 1e-3 * np.arange(601), np.repeat(volts, 10, axis=0)[:601], rest_state(hframe, np.zeros(2))

@@ -55,7 +55,8 @@ def test_mean_voltage_that_arrived(hframe: Machine) -> None:
     dead_time.reset(np.ones(1, np.bool_))
     for value in (1.0, 2.0, 4.0, 8.0):
         dead_time.send(np.full((1, 2), value))
-    # In the last period, 30 to 40 ms, the voltages sent at 10 ms arrive until 33 ms, then those sent at 20 ms.
+    # In the last period, 30 to 40 ms, the voltages sent at 10 ms arrive until 33 ms, then those sent at
+    # 20 ms.
     np.testing.assert_allclose(dead_time.mean_arrived(), 0.3 * 2.0 + 0.7 * 4.0)
     times, volts = dead_time.arrived_history()
     np.testing.assert_allclose(times, [0.0, 0.003, 0.01])

@@ -130,7 +130,7 @@ def test_one_axis_has_one_row_of_operating_points() -> None:
 
 
 def test_friction_that_grows_with_the_drive_force_is_not_compensated(hframe):
-    """The model knows position, velocity and time only; at 0 V the back-EMF alone would determine the friction."""
+    """The model knows position, velocity and time only; at 0 V back-EMF alone would determine friction."""
     model = MotionModel(hframe.with_effects(EFFECTS["load_friction"].at("motor1", mu=0.3)))
     state = np.array([[0.0, 0.0, 0.0, 0.0, 0.2, 0.1, -0.3, 0.1]])
     np.testing.assert_array_equal(model.effect_friction(state, np.zeros(1)), np.zeros((1, 4)))

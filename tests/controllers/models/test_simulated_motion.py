@@ -22,7 +22,7 @@ REMEMBERED = {
 
 
 def moved(machine: Machine) -> tuple[Array, Array, Array]:
-    """Return states of the model (PERIODS + 1, 2 n), memories, and voltages (PERIODS, 2) of a simulated machine."""
+    """Return model states (PERIODS + 1, 2 n), memories, and voltages (PERIODS, 2) of a simulation."""
     model = MotionModel(machine)
     volts = np.repeat(np.random.default_rng(0).uniform(-9.0, 9.0, (PERIODS // 3, 2)), 3, axis=0)
     motion = SimulatedMotion(model)

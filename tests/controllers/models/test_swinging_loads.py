@@ -1,4 +1,4 @@
-"""Tests of the loads whose motion follows from that of their carriage, against simulations of the whole machine."""
+"""Tests of loads whose motion follows from their carriage, against simulations of the whole machine."""
 
 from __future__ import annotations
 

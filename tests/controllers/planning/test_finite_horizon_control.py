@@ -35,7 +35,7 @@ def transfers(hframe: Machine) -> MinimumEnergyTransfers:
 
 
 def test_transfers_stop_the_simulated_stage_with_its_belts_at_rest() -> None:
-    """On the linear machine, the voltages planned anew in each period of the model end at the goal, open loop."""
+    """On the linear machine, voltages planned anew in each period end at the goal, open loop."""
     machine = BUILTIN_MACHINES["hframe-linear"]()
     transfers = MinimumEnergyTransfers(MotionModel(machine), 0.01)
     model, goal = transfers.model, np.array([[0.12, -0.08]])
@@ -119,7 +119,7 @@ def test_more_voltage_is_faster(transfers: MinimumEnergyTransfers) -> None:
 
 
 def test_a_drive_without_back_emf_is_braked_in_time() -> None:
-    """Its top speed is far beyond what it reaches in the workspace: the longest motion is one of acceleration."""
+    """Its top speed is far beyond what it reaches in the workspace: the longest motion accelerates."""
     motor = BUILTIN_MACHINES["motor"]()
     drive = Drive("motor", "torque_Nm", "shaft", 1.0, 0.0, 1.0, 1.0, rated_voltage=0.05, kind="torque")
     machine = motor.with_components(replace(motor.coordinate("shaft"), viscous=1e-7)).replace(drives=(drive,))

@@ -45,7 +45,7 @@ def test_the_gains_are_the_derivatives_of_the_voltages_by_the_state():
 
 
 def final_distances(machine, parameters):
-    """Return the distances to the goal after six periods, from 2 mm, m, (COUNT,); every period plans what remains."""
+    """Return the distances to the goal after six periods, from 2 mm, m, (COUNT,); each plans what remains."""
     model = MotionModel(machine)
     goal, last = np.zeros((COUNT, 2)), np.zeros((COUNT, 2))
     directions = np.linspace(0.0, 2.0 * np.pi, COUNT, endpoint=False)
@@ -77,7 +77,7 @@ def test_simulations_bring_the_tool_to_its_goal_despite_friction(delay_s, monkey
 
 
 def test_of_the_simulated_plans_the_one_that_ends_nearest_is_used(monkeypatch):
-    """The first voltages come from a plan that was simulated, and no other simulated plan ends nearer to the goal."""
+    """The first voltages come from a simulated plan, and no other such plan ends nearer to the goal."""
     generator, periods = np.random.default_rng(0), 4
     goal, last = np.zeros((COUNT, 2)), np.zeros((COUNT, 2))
     state = MODEL.goal_state(generator.uniform(-2e-3, 2e-3, (COUNT, 2)))

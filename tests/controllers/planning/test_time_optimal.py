@@ -36,8 +36,8 @@ def hframe_problem() -> TimeOptimalReach:
 def bang_bang_time(machine: Machine, distance: float, band: float) -> float:
     """Return the least time, s, of m v' = +-F - b v - f into the band.
 
-    Full force, then full braking to rest at the far edge of the band: no motion that stays within the band afterwards
-    passes its near edge earlier.
+    Full force, then full braking to rest at the far edge of the band: no motion that stays within the band
+    afterwards passes its near edge earlier.
     """
     c, d = machine.coordinates[0], machine.drives[0]
     viscous = c.viscous + d.back_emf
@@ -78,7 +78,7 @@ def test_rigid_axis_agrees_with_the_bang_bang_solution(coulomb: float) -> None:
 
 @pytest.mark.oracle
 def test_a_constant_force_changes_the_bang_bang_solution_of_an_axis() -> None:
-    """A force against the motion acts like Coulomb friction while moving and like more force while braking."""
+    """A force against the motion acts like Coulomb friction while moving and more force while braking."""
     axis = AXIS.replace({"x.coulomb": 0.0})
     pushed = axis.with_effects(EFFECTS["constant_force"].at("x", size=-1.0))
     motion = TimeOptimalReach(pushed, band=BAND).solve([0.0], [0.1])
@@ -114,7 +114,7 @@ EFFECT_SETS: Mapping[str, tuple] = {
 
 @pytest.mark.parametrize("effects", EFFECT_SETS)
 def test_symbolic_equations_agree_with_the_simulator(effects: str) -> None:
-    """The reference is the change of velocity over a very short step, at speeds where friction does not reverse."""
+    """The reference is the velocity change over a very short step, where friction does not reverse."""
     machine = HFRAME.with_effects(*EFFECT_SETS[effects])
     rng, h = np.random.default_rng(0), 1e-7
     P = casadi.SX.sym("P", len(machine.parameters))

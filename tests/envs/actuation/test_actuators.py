@@ -1,4 +1,4 @@
-"""Actuators: converter, current limit and dead time, against the motor equation and the machine's declaration."""
+"""Actuators: converter, current limit and dead time, against motor equation and the machine's declaration."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""Sensors: what an environment measures, against the true state, the machine's declaration and its simulation."""
+"""Sensors: what an environment measures, against true state, declaration and simulation."""
 
 import dataclasses
 
@@ -18,14 +18,15 @@ EXACT = Sensors(lasers=Lasers(span=np.inf, noise=0.0))
 
 
 def run(sensors, steps=25, action=(0.4, -0.1), task=OFF_CENTER, **options):
-    """Return an environment and the observations of an episode with the true state, by key, (steps + 1, n) each."""
+    """Return an environment and an episode's observations with the true state, by key, (steps + 1, n)."""
     env = HFrameEnv(sensors=sensors, privileged=True, task=task, **options)
     rows = [env.reset(seed=0)[0]]
     rows += [env.step(np.array(action, np.float32))[0] for _ in range(steps)]
     return env, {key: np.array([row[key] for row in rows], np.float64) for key in rows[0]}
 
 
-# -- the preset "rig" --------------------------------------------------------------------------------------------------
+# -- the preset "rig"
+# --------------------------------------------------------------------------------------------------
 
 
 def test_encoders_count():
@@ -115,7 +116,8 @@ def test_privileged_holds_the_randomized_parameters():
     assert len(parameters) > 20
 
 
-# -- effects at sensors ------------------------------------------------------------------------------------------------
+# -- effects at sensors
+# ------------------------------------------------------------------------------------------------
 
 
 def machine_with(*effects):
@@ -186,7 +188,8 @@ def test_a_delay_line_does_not_mix_episodes_or_environments():
         np.testing.assert_array_equal(many["observation"][3], one["observation"])
 
 
-# -- the machine's declaration -----------------------------------------------------------------------------------------
+# -- the machine's declaration
+# -----------------------------------------------------------------------------------------
 
 
 def test_declared_sensors_are_observed_in_the_order_of_the_state():

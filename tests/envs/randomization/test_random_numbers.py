@@ -1,4 +1,4 @@
-"""Random numbers: distribution, independence, dependence on key, step and channel; joint samples of parameters."""
+"""Random numbers: distribution, independence, dependence on key, step and channel; joint samples."""
 
 import numpy as np
 import pytest

@@ -31,7 +31,7 @@ HFRAME = BUILTIN_MACHINES["hframe"]()
 
 
 def test_results_state_the_version_of_the_code_that_ran(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not that of the installation, which an editable one keeps; packages that are not installed are omitted."""
+    """Not that of the installation, which an editable one keeps; packages not installed are omitted."""
     monkeypatch.setattr(package_versions, "__version__", "99.0")
     versions = installed_versions(("hframe_gym", "numpy", "no_such_package"))
     assert versions == {"hframe_gym": "99.0", "numpy": np.__version__}

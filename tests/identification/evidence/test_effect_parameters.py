@@ -14,7 +14,7 @@ from tests.identification.scripted_fits import (
 
 
 def test_the_size_of_an_effect_is_as_certain_as_its_form_permits() -> None:
-    """Runs that are slower than the speed scale tell the product of both only; the product may still be certain."""
+    """Runs that are slower than the speed scale tell the product only, which may be certain."""
     friction = EFFECTS["stribeck_friction"].at("x", dF=2.0, vs=0.03)
     names = ("x.mass", "stribeck_friction@x.vs", "stribeck_friction@x.dF")
     correlation = np.array([[1.0, 0.0, 0.6], [0.0, 1.0, 0.0], [0.6, 0.0, 1.0]])
@@ -42,7 +42,7 @@ def test_parameters_without_a_variance_were_held(
 
 
 def test_an_effect_in_proportion_to_an_uncertain_coefficient_may_be_certain() -> None:
-    """Viscous friction and back-EMF act alike; how much friction differs between the directions is known anyway."""
+    """Viscous friction and back-EMF act alike; the difference between directions is known anyway."""
     drag = EFFECTS["asymmetric_viscous"].at("phi1", a=0.3)
     names = ("phi1.viscous", "asymmetric_viscous@phi1.a")
     covariance = np.array([[1.0, -0.99], [-0.99, 1.0]]) * np.outer([1e-5, 0.4], [1e-5, 0.4])

@@ -60,7 +60,7 @@ def test_which_effects_depend_on_the_same_variable(
 
 
 def test_curves_of_one_variable_are_functions_of_it_alone_at_one_coordinate() -> None:
-    """A motor turns with its coordinate; what remembers, or depends on a voltage, is no curve that a table has."""
+    """A motor turns with its coordinate; what remembers, or depends on a voltage, is no curve."""
     cogging = EFFECTS["cogging"].at("motor1", A=0.03, n=23.6, p=0.5)
     spring = EFFECTS["cable_spring"].at("phi1", k=6.0, q0=0.0)
     others = [

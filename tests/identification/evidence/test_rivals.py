@@ -1,4 +1,4 @@
-"""Tests of rivals (effects that explain the data about equally well) with scripted fits: order, margin, replacement."""
+"""Tests of rivals (effects that explain data equally well) by scripted fits: order, margin, replacement."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_rivals_are_other_effects_within_the_margin() -> None:
 def test_a_delay_and_a_lag_within_a_row_of_a_log_without_all_voltages_are_not_told_apart(
     duration: float, voltages_known: bool, hidden: bool
 ) -> None:
-    """Here the lag explains far more, beyond all chance, but the voltages within a row of 4 ms are not known."""
+    """Here the lag explains far more, beyond all chance, but voltages within a row of 4 ms are unknown."""
     data: Any = SimpleNamespace(has_voltage_errors=not voltages_known, period=4e-3)
     lag, delay = (
         EFFECTS["electrical_lag"].at("drives", tau=duration),

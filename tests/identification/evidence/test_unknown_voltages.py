@@ -71,7 +71,7 @@ def measurements(change: str) -> list[Array]:
 
 @cache
 def costs(change: str) -> tuple[float, float]:
-    """Return the cost of the axis that is fitted to such measurements, and what is left of it beside the voltages."""
+    """Return the fitted axis's cost with such measurements, and what is left of it beside the voltages."""
     data = slow_log()
     outputs = measurements(change)
     runs = tuple(dataclasses.replace(r, outputs=o) for r, o in zip(data.runs, outputs, strict=True))

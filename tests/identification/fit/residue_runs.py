@@ -28,7 +28,7 @@ def recordings(
     color_rows: int = 0,
     forces: tuple[float, ...] = (0.0,) * 4,
 ) -> Dataset:
-    """Return runs of an axis, one per constant force (N), with a random slow force (N) and perhaps colored noise."""
+    """Return runs of an axis, one per constant force (N), a random slow force (N), perhaps colored noise."""
     runs = []
     residues = residue if isinstance(residue, tuple) else (residue,) * len(forces)
     for k, (size, slow) in enumerate(zip(forces, residues, strict=True)):

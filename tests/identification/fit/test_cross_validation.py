@@ -45,7 +45,7 @@ def test_true_fits_confirm_what_the_linear_model_does_where_it_holds(axis: Machi
 
 
 def test_runs_are_left_out_until_the_others_cannot_confirm_an_effect(axis: Machine) -> None:
-    """Only the second run has a force; without it, the others find none, and the second one has all of its error."""
+    """Only the second run has a force; without it, the others find none, and its whole error is left."""
     data = recordings(axis, forces=(0.0, 0.3, 0.0, 0.0))
     without, with_effect = fitted_axis(axis, data), fitted_axis(axis, data, constant_force=True)
     gain = without.cost - with_effect.cost
@@ -96,7 +96,7 @@ def test_what_is_left_out_has_the_cost_of_a_fit_to_the_others(names: str) -> Non
 def test_a_run_that_alone_determines_another_parameter_judges_an_effect_by_it(
     forces: tuple[float, ...], confirmed: bool
 ) -> None:
-    """Only run 0 reaches the limit of a current, which is far from the declared one; the tested force acts as well."""
+    """Run 0 alone reaches a current limit, which is far from the declared one; the force acts too."""
     rng = np.random.default_rng(1)
     limit, force = FreeParameter("limit", 1.0, 10.0), FreeParameter("force", 1.0, 10.0)
     rows = [rng.normal(size=(2, 400)) for _ in forces]
@@ -128,7 +128,7 @@ def test_a_run_that_alone_determines_another_parameter_judges_an_effect_by_it(
     [(False, 4, 1), (False, 3, 3), (False, 1, 8), (True, 4, 2), (True, 3, 3)],
 )
 def test_what_is_left_out_to_confirm_an_effect(table: bool, count: int, pieces: int) -> None:
-    """Some values of a table may depend on one run alone; without half of it, the other half determines them."""
+    """Some values of a table may depend on one run alone; without its half, the other half tells them."""
     assert pieces_left_out(count, table=table) == pieces
 
 
@@ -139,7 +139,7 @@ def test_runs_of_different_length_are_compared_per_sample() -> None:
 
 
 def test_cross_validation_predicts_runs_that_were_not_fitted(axis: Machine) -> None:
-    """A machine that fits three equal runs also predicts each of them; a run with a force of its own is no such run."""
+    """A machine that fits three equal runs also predicts each of them; one with its own force differs."""
     equal, other = recordings(axis), recordings(axis, forces=(0.0, 0.6, 0.0, 0.0))
     ratios = []
     for data in (equal, other):

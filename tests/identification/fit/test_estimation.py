@@ -177,10 +177,11 @@ def test_a_step_within_limits_is_the_best_one_there(rounded: bool) -> None:
 def test_a_step_is_finite_where_bounded_least_squares_divides_by_zero(
     on_any_platform: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The last parameter changes no prediction and is at its limit: BVLS releases it and oversteps by a rounding error.
+    """The last parameter changes no prediction and is at its limit: BVLS releases it and errs by rounding.
 
-    Then it divides by the distance from its optimum, which is zero, and its solution is not a number (SciPy 1.17). The
-    numbers are rounded ones of a trial fit of belt play; whether they show it depends on the linear algebra library.
+    Then it divides by the distance from its optimum, which is zero, and its solution is not a number (SciPy
+    1.17). The numbers are rounded ones of a trial fit of belt play; whether they show it depends on the
+    linear algebra library.
     """
     if on_any_platform:
 

@@ -12,9 +12,10 @@ OF_EFFECT, PRECISION = np.array([False, True]), np.diag([1.0 / 0.3**2, 1e-12])
 
 
 def correlated(seed: int, rows: int) -> RunLinearization:
-    """Return a residual of 4 s at 1 kHz that is constant over sequences of rows, and the influence of two parameters.
+    """Return a residual of 4 s at 1 kHz that is constant over rows, and two parameters' influence.
 
-    The first parameter, of the machine, has the influence of a sine; the second one, of the effect, is constant.
+    The first parameter, of the machine, has the influence of a sine; the second one, of the effect, is
+    constant.
     """
     residual = np.repeat(np.random.default_rng(seed).normal(size=4000 // rows), rows)
     sine = np.sin(np.arange(4000) * 2e-3 * np.pi)

@@ -82,7 +82,7 @@ def test_voltages_in_long_gaps_stay_interpolated() -> None:
 
 
 def late_controller(commands: Array, gaps: Sequence[tuple[int, int]], seed: int) -> Recording:
-    """Return the log of a controller that neither computed nor logged in some gaps: its commands were held."""
+    """Return the log of a controller that neither computed nor logged in gaps: commands were held."""
     lost = np.concatenate([np.arange(first, end) for first, end in gaps])
     kept = np.setdiff1d(np.arange(ROWS), lost)
     held = commands[kept[np.searchsorted(kept, np.arange(ROWS), side="right") - 1]]
@@ -133,7 +133,7 @@ def test_a_step_within_a_single_gap_is_estimated_although_a_held_command_is_near
 
 
 def test_smooth_commands_are_not_held() -> None:
-    """A command that changes in row after row went on changing in the gaps, whatever a wrong machine seems to say."""
+    """A command that changes in every row also changed in the gaps, whatever a wrong machine seems to say."""
     time_s = np.arange(ROWS) * 1e-3
     smooth = np.where(time_s > 0.1, 3.0 * np.sin(20.0 * (time_s - 0.1)), 0.0)[:, None]
     data = prepare([late_controller(smooth, LONG_GAPS, 6)], AXIS)
@@ -141,7 +141,7 @@ def test_smooth_commands_are_not_held() -> None:
 
 
 def test_a_wrong_machine_leaves_smooth_voltages_at_their_spline() -> None:
-    """What the machine does not explain counts as noise; recorded rows show that a spline is accurate to 1 mV."""
+    """What the machine does not explain counts as noise; recorded rows show a spline accurate to 1 mV."""
     time_s = np.arange(ROWS) * 1e-3
     inputs = np.where(time_s > 0.1, 3.0 * np.sin(300.0 * (time_s - 0.1)), 0.0)[:, None]
     complete, rows = recorded(AXIS, inputs, 2), random_rows(2)
@@ -216,7 +216,7 @@ def test_rows_that_are_perturbed_together_have_the_derivatives_of_single_rows(me
 
 
 def test_few_histories_are_predicted_together() -> None:
-    """The memory must not grow with the number of dropped rows; the result does not depend on the division."""
+    """Memory must not grow with the number of dropped rows; the result does not depend on the division."""
     run = without_rows(recorded(HFRAME, random_steps(1, 2), 1), random_rows(1))
     data = prepare([run], HFRAME)
     rows = np.flatnonzero(data.runs[0].dropped)
@@ -250,7 +250,7 @@ def test_the_row_in_which_a_constant_voltage_begins_is_estimated() -> None:
 
 
 def test_voltages_at_which_the_machine_starts_and_stops_are_estimated() -> None:
-    """The response to a voltage depends on it where friction holds the machine; one linearization is not enough."""
+    """The response to a voltage depends on it where friction holds; one linearization is not enough."""
     inputs = np.random.default_rng(7).uniform(-3.0, 3.0, (ROWS, 1))
     inputs[:100] = 0.0
     run = without_rows(recorded(AXIS, inputs, 7), random_rows(7))

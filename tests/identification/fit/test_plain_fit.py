@@ -109,7 +109,7 @@ def test_a_constant_force_is_a_term_of_the_plain_fit() -> None:
     ("size", "cost", "added"), [(0.0, 99.0, False), (1.5, 99.0, True), (1.5, 101.0, False)]
 )
 def test_a_term_of_size_zero_is_none(size: float, cost: float, added: bool) -> None:
-    """Rounding alone may make the cost with it smaller; its parameters do not act, and the next fit leaves them out."""
+    """Rounding alone may lower the cost with it; its parameters do not act, and the next fit omits them."""
     machine, term = axis(TRUE), EFFECTS["constant_force"].at("x", size=size)
     free, data = wide_parameters(machine), prepare(measure(machine, runs=1, seconds=0.5), machine)
     without = Fit(machine, free, np.zeros(len(free)), 100.0, data.count, SIMULATION, np.eye(len(free)))
@@ -176,7 +176,7 @@ def test_runs_without_motion_have_no_plain_fit() -> None:
 
 
 def test_runs_of_constant_speeds_are_fitted_from_the_declared_machine() -> None:
-    """Of a hoist whose runs have one speed each, the balance of forces shows neither inertia nor viscous friction.
+    """Of a hoist whose runs have one speed each, forces show neither inertia nor viscous friction.
 
     Here, the drives act against the motion, so that it shows negative ones.
     """
@@ -192,7 +192,7 @@ def test_runs_of_constant_speeds_are_fitted_from_the_declared_machine() -> None:
 
 
 def test_identification_starts_from_the_motion_where_the_file_is_wrong_by_a_factor() -> None:
-    """Kt, Ke and mass are guesses; the refit reaches the true machine, and the report names what the file has wrong."""
+    """Kt, Ke and mass are guesses; the refit finds the true machine, and the report the file's errors."""
     true = axis(TRUE)
     declared = axis({"x.mass": 0.2, "x.viscous": 2.0, "x.coulomb": 0.2, "motor.Ke": 0.003})
     assert outside_limits(declared, true)
@@ -214,7 +214,7 @@ def test_identification_starts_from_the_motion_where_the_file_is_wrong_by_a_fact
 
 
 def test_a_term_that_the_held_out_run_refutes_is_removed_from_the_plain_fit() -> None:
-    """The axis was tilted in the fitted runs. One more, in which nothing moved, and copies of runs are not fitted."""
+    """The axis was tilted in the fitted runs. One without motion and copies of runs are not fitted."""
     tilted = axis(TRUE).with_effects(EFFECTS["constant_force"].at("x", size=3.0))
     level = dataclasses.replace(measure(axis(TRUE), runs=4)[3], name="run_04")
     fitted = measure(tilted)
@@ -333,7 +333,7 @@ def test_starting_values_include_a_declared_weight_and_no_vanishing_friction(vis
 def test_an_arm_that_does_not_hang_at_the_declared_angle_is_fitted_with_its_phase_and_a_constant_force() -> (
     None
 ):
-    """The file has a twentieth of the weight, at a phase of zero; a cord pulls as well, and the arm is turned over."""
+    """The file has 1/20 of the weight, at a phase of zero; a cord pulls as well, the arm turns over."""
     arm = torque_driven(BUILTIN_MACHINES["pendulum"]())
     declared = arm.replace(
         {"arm.mass": 2e-3, "arm.viscous": 1e-5, "arm.coulomb": 3e-3, "unbalance@arm.A": -0.1}
@@ -349,7 +349,7 @@ def test_an_arm_that_does_not_hang_at_the_declared_angle_is_fitted_with_its_phas
 
 
 def test_a_weight_is_found_although_a_constant_force_has_taken_a_part_of_it() -> None:
-    """An arm is held at 46 degrees: its weight is a constant force there, from which the fit does not find back.
+    """An arm is held at 46 degrees: its weight is a constant force there, and the fit does not recover.
 
     A counterweight on a cord, a real constant force, is there as well.
     """
@@ -368,7 +368,7 @@ def test_a_weight_is_found_although_a_constant_force_has_taken_a_part_of_it() ->
 
 
 def test_what_is_left_is_described_in_simulation_without_naming_a_cause() -> None:
-    """A force over speed that the machine lacks: the description removes most of the error of complete runs."""
+    """A force over speed that the machine lacks: the description removes most of complete runs' error."""
     true = axis(TRUE).with_effects(EFFECTS["quadratic_drag"].at("x", c=40.0))
     data = prepare(measure(true), axis(TRUE))
     plain = plain_fit(axis(TRUE), data)
@@ -381,7 +381,7 @@ def test_what_is_left_is_described_in_simulation_without_naming_a_cause() -> Non
 
 
 def test_a_description_may_correct_the_form_of_its_first_effect() -> None:
-    """A spring, and friction that adds a tenth of its force over the same position: both true, a third is missing."""
+    """A spring, and friction with a tenth of its force over position: both true, a third is missing."""
     true = axis(TRUE).with_effects(
         EFFECTS["cable_spring"].at("x", k=60.0, q0=0.0),
         EFFECTS["friction_slope"].at("x", s=6.0),
@@ -390,7 +390,8 @@ def test_a_description_may_correct_the_form_of_its_first_effect() -> None:
     data = prepare(measure(true), axis(TRUE))
     plain = plain_fit(axis(TRUE), data)
     assert plain is not None
-    # A constant force removes 1 % of an error that swings slowly: that is chance, and would be in the spring's way.
+    # A constant force removes 1 % of an error that swings slowly: that is chance, and would be in the
+    # spring's way.
     assert plain.terms == ()
     assert "constant_force@x" in plain.extended[-1].terms
     *_, (_, labels) = descriptions(plain.simulated, data, SelectionCriteria(), print, Budget())
@@ -419,7 +420,7 @@ def test_the_log_tells_a_description_from_effects_that_help_in_the_fitted_runs_o
 
 
 def test_a_description_stands_where_the_voltages_change_between_rows() -> None:
-    """The controller is four times as fast as the log, and a spring is missing; no search begins again here."""
+    """The controller is four times as fast as the log, and a spring is missing; no search is repeated."""
     declared = BUILTIN_MACHINES["axis"]()
     true = declared.with_effects(EFFECTS["cable_spring"].at("x", k=20.0, q0=0.0))
     time_s = np.arange(2400) * 0.25e-3
@@ -444,7 +445,7 @@ def test_a_description_stands_where_the_voltages_change_between_rows() -> None:
 
 
 def test_the_cost_of_a_simulation_is_the_error_of_an_evaluation() -> None:
-    """Commanded from its first row on, a carriage without the declared friction drifts away from the simulation."""
+    """Commanded from its first row on, a carriage without declared friction leaves the simulation."""
     true, declared = axis(TRUE), axis(TRUE).replace({"x.coulomb": 1e-3})
     time_s, volts = 2e-3 * np.arange(2000), 4.0 * np.sign(np.sin(np.arange(2000) / 150.0 + 0.1))[:, None]
     outputs = true.simulate(time_s, volts).outputs + NOISE * np.random.default_rng(0).normal(size=(2000, 1))
@@ -458,7 +459,7 @@ def test_the_cost_of_a_simulation_is_the_error_of_an_evaluation() -> None:
 
 
 def test_long_runs_whose_motion_begins_late_are_fitted() -> None:
-    """Two runs at 50 Hz of two and a half minutes, with half a minute of motion at the end, are fitted whole."""
+    """Two runs at 50 Hz of two and a half minutes, half a minute of motion at the end, stay complete."""
     true = axis(TRUE)
     time_s = 0.02 * np.arange(7500)
     runs = []

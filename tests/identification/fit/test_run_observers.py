@@ -1,4 +1,4 @@
-"""Tests of fits in which each run has another observer: which one, what it is worth, and when it is not used."""
+"""Fits in which each run has another observer: which one, what it is worth, and when it is not used."""
 
 from __future__ import annotations
 

@@ -102,7 +102,7 @@ def test_changes_are_no_closer_than_the_steps_of_the_search(period: float, most:
 
 
 def test_rows_as_close_as_the_steps_of_the_search_are_not_divided() -> None:
-    """A log at 3200 Hz is fitted with held voltages only; with 16 changes a row, each fit takes 16 times as long."""
+    """A log at 3200 Hz is fitted with held voltages only; with 16 changes a row, fits are 16 times slower."""
     slow = slow_log(4)
     fast = faster(slow, 4e-3 / 0.3125e-3)
     assert can_show_updates(slow)
@@ -125,14 +125,14 @@ def test_the_motion_shows_how_often_the_voltages_change() -> None:
 
 @cache
 def delayed_log() -> Dataset:
-    """Return logs of a drive that acts two of the four changes a row late: half a row, as held voltages do."""
+    """Return logs of a drive that acts two of four changes a row late: half a row, as held voltages do."""
     runs = (moved(seed, window=30) for seed in range(3))
     late = (dataclasses.replace(run, inputs=np.roll(run.inputs, -2)) for run in runs)
     return prepare([every(run, 4) for run in late], AXIS)
 
 
 def test_a_delay_of_the_drives_does_not_hide_that_voltages_change_between_the_rows() -> None:
-    """Held voltages act nearly as late, and two changes a row without a delay earlier, but voltages are smoother."""
+    """Held voltages act nearly as late, two changes a row without delay earlier, but they are smoother."""
     data = delayed_log()
     assert refitted(data.with_updates(2)).chi2 > refitted(data).chi2
     updates = found(data)
@@ -141,7 +141,7 @@ def test_a_delay_of_the_drives_does_not_hide_that_voltages_change_between_the_ro
 
 
 def test_fewer_changes_do_not_take_the_place_of_a_delay_that_is_missing() -> None:
-    """With four changes a row, instruments find the delay of fewer ones, but these explain less than a delay."""
+    """With four changes a row, instruments find the delay of fewer, but these explain less than a delay."""
     data = delayed_log().with_updates(4)
     fitted = refitted(data)
     excess = excess_delay(fitted, data)
@@ -154,7 +154,7 @@ def test_fewer_changes_do_not_take_the_place_of_a_delay_that_is_missing() -> Non
 def test_beside_a_known_delay_the_number_counts_that_no_other_one_clearly_improves(
     present: int, expected: int
 ) -> None:
-    """Errors prefer too many changes: what eight explain more than four is less than an effect must explain."""
+    """Errors prefer too many changes: what eight explain more than four is less than an effect must."""
     fits = {number: fit_with(chi2=chi2) for number, chi2 in {2: 1.326, 4: 1.252, 8: 1.248, 16: 1.300}.items()}
 
     def again(fitted: Fit, number: int, goal: float) -> Fit:
@@ -336,7 +336,7 @@ def test_the_search_counts_the_changes_again(
 
 
 def test_a_number_that_leaves_no_less_error_is_no_other_one() -> None:
-    """A drive that acts late makes the changes seem fewer, but cogging is missing, and more is left with fewer."""
+    """A drive that acts late makes changes seem fewer, but cogging is missing, and fewer leave more."""
     rig = RIG.with_effects(EFFECTS["cogging"].at("motor", A=0.5, n=40.0, p=0.0))
     logs = []
     for seed in range(3):
@@ -355,7 +355,8 @@ def test_a_number_that_leaves_no_less_error_is_no_other_one() -> None:
 @pytest.mark.parametrize(
     ("excess", "expected"),
     [
-        # Small at the largest number, where errors of the voltages pass for delays; the sign changes between 4 and 5.
+        # Small at the largest number, where errors of the voltages pass for delays; the sign changes between
+        # 4 and 5.
         ({3: -0.04, 4: -0.01, 5: 0.012, 6: 0.03, 10: 0.04, 16: 0.018}, 4),
         ({4: 0.03, 10: 0.04, 16: 0.018, 2: 0.05}, 16),  # no number explains it
         ({10: 0.02, 16: 0.001}, 16),  # by no more than chance
@@ -421,7 +422,7 @@ def test_a_machine_that_was_fitted_with_errors_of_the_voltages_shows_them(fitted
 
 @pytest.mark.parametrize(("rows", "expected"), [(1, 1), (2, None)])
 def test_voltages_that_act_as_late_as_held_ones_are_held(rows: int, expected: int | None) -> None:
-    """Without an effect, voltages seemed to change twice a row; it is known now, and the runs are judged again."""
+    """Without an effect, voltages seemed to change twice a row; with it, the runs are judged again."""
     data = slow_log(rows).with_updates(2)
     fitted = refitted(data)
     updates = other_updates(fitted, with_voltage_errors(fitted.machine, data), SelectionCriteria())

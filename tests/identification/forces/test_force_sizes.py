@@ -90,7 +90,7 @@ def test_the_size_of_an_effect_is_its_force(axis_data: Dataset) -> None:
 
 @pytest.mark.parametrize("bandwidth", [0.0, 30.0])
 def test_the_residue_is_the_correction_beyond_that_of_noise(axis_data: Dataset, bandwidth: float) -> None:
-    """The observer corrects the velocity by bandwidth^2 times the innovation; without one, by that of 3 rad/s."""
+    """The observer corrects the velocity by bandwidth^2 * innovation; without one, by that of 3 rad/s."""
     [run] = axis_data.with_runs(["run_0"]).runs
     run.outputs[700:800] = np.nan  # a missing measurement has neither error nor noise
     pushed = fit_with(PUSH, chi2=1.0, bandwidth=bandwidth)
@@ -107,7 +107,7 @@ def test_the_residue_is_the_correction_beyond_that_of_noise(axis_data: Dataset, 
 
 
 def test_what_an_effect_remembers_is_no_missing_force() -> None:
-    """A winding that is hot when a run begins reduces all forces of the run; a fit takes this into account too."""
+    """A winding that is hot when a run begins reduces all its forces; a fit takes this into account too."""
     heated = AXIS.with_effects(EFFECTS["winding_heat"].at("motor", a=0.01, tau=20.0))
     generator = np.random.default_rng(5)
     time_s = np.arange(1500) * 1e-3

@@ -41,7 +41,7 @@ def test_force_error_of_a_known_motion() -> None:
 
 
 def test_rows_at_irregular_times_do_not_make_a_right_machine_wrong() -> None:
-    """Rows that are written as values arrive: filtered as if they were regular, they missed 3.5 times the force."""
+    """Rows that are written as values arrive: filtered as regular, they missed 3.5 times the force."""
     steps = np.random.default_rng(0).uniform(2e-3, 12e-3, 2000)
     time, mass, viscous, rate = np.cumsum(steps), 3.0, 5.0, 2.0
     middle = time + 0.5 * np.append(steps[1:], 0.0)
@@ -54,7 +54,7 @@ def test_rows_at_irregular_times_do_not_make_a_right_machine_wrong() -> None:
 
 @pytest.mark.parametrize(("step", "largest"), [(1e-6, 0.01), (2e-3, 0.5), (2e-2, 0.5)])
 def test_a_coarse_sensor_does_not_make_a_right_machine_wrong(step: float, largest: float) -> None:
-    """Differentiated twice up to 100 Hz, the rounding of an encoder was many times the force of the drives."""
+    """Differentiated twice up to 100 Hz, the rounding of an encoder was many times the drives' force."""
     time = np.arange(8000) * 1e-3
     mass, viscous, rate = 3.0, 5.0, 2.0
     middle = time + 0.5e-3
@@ -76,7 +76,7 @@ def test_machine_with_belts_has_no_force_error(hframe: Machine) -> None:
 
 @pytest.mark.parametrize(("coulomb", "expected"), [(3.0, 0.0), (1.0, 0.5)])
 def test_dry_friction_holds_a_force_up_to_its_limit_at_rest(coulomb: float, expected: float) -> None:
-    """A force of 2 N does not move the axis: friction of 3 N explains that, friction of 1 N explains half of it."""
+    """A force of 2 N does not move the axis: friction of 3 N explains that, 1 N explains half of it."""
     time = np.arange(1000) * 1e-3
     position = 1e-8 * np.random.default_rng(0).normal(size=(1000, 1))
     machine = axis(3.0, 5.0).replace({"x.coulomb": coulomb})
@@ -153,7 +153,7 @@ def test_force_error_of_a_slow_log() -> None:
 
 
 def two_sensors(*effects: AppliedEffect, swapped: bool = False, missing: int = 1) -> tuple[Machine, Dataset]:
-    """Return an axis with a precise encoder (20 rad/m) and a laser that is late by 20 ms and has more noise, and a run.
+    """Return an axis with a precise encoder (20 rad/m) and a noisier laser that is late by 20 ms, and a run.
 
     The sensors are swapped if asked; of the encoder, one row of `missing` is measured.
     """

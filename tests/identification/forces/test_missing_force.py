@@ -1,4 +1,4 @@
-"""Tests of the missing force: how large it is on a carriage, and the coordinate and variables on which it depends."""
+"""Tests of the missing force: its size on a carriage, and the coordinate and variables it depends on."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_encoders_alone_show_the_period_of_the_friction_of_a_carriage(hframe: Ma
 
 
 def test_an_input_at_rest_does_not_stand_for_time() -> None:
-    """Equal values of a variable are one value of the curve; in the order of the samples they would stand for time."""
+    """Equal values of a variable are one value of the curve; in the order of samples they would be time."""
     drift = np.linspace(-1.0, 1.0, 1600)
 
     def explained(variable: np.ndarray) -> float:
@@ -110,7 +110,7 @@ def test_an_axis_that_lacks_no_force_depends_on_nothing(hframe: Machine) -> None
 
 
 def test_the_noise_of_a_sensor_does_not_reduce_the_share_of_a_variable() -> None:
-    """The noise of 0.03 mm causes a sixth of the variance that is left of the drag beside viscous friction."""
+    """The noise of 0.03 mm causes a sixth of the variance left of the drag beside viscous friction."""
     axis = BUILTIN_MACHINES["axis"]()
     time_s = np.arange(2000) * 1e-3
     inputs = np.where(time_s < 0.2, 0.0, 6.0 * np.sin(2 * np.pi * time_s))[:, None]
@@ -190,7 +190,7 @@ def test_every_cause_has_a_variable_with_a_unit_that_the_report_can_draw(hframe:
 def test_causes_outside_the_library_are_named_with_their_component(
     hframe: Machine, component: str, variable: str
 ) -> None:
-    """Forces in proportion to a current, a direction or a voltage times a variable, which no library effect has."""
+    """Forces proportional to a current, a direction or a voltage times a variable, unlike library effects."""
     runs = []
     for run in excited_runs(hframe, count=4):
         data = prepare([run], hframe)

@@ -78,7 +78,7 @@ def test_thresholds_that_are_zero_or_more_are_accepted(value: float) -> None:
 
 
 def test_the_page_states_the_numbers_of_the_code() -> None:
-    """Of How it decides: "10 % of the excess (`min_gain_fraction`)" in the text, "`CLEAR` 2" in the last table."""
+    """Of How it decides: "10 % of the excess (`min_gain_fraction`)" in text, "`CLEAR` 2" in the table."""
     page = (Path(__file__).parents[3] / "docs/how_it_decides.md").read_text("utf-8")
     text, _, table = page.partition("## The numbers that decide")
     number = r"(?<![\w.])(\d[\d.]*(?:e-?\d+)?)( %)?"

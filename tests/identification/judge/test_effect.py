@@ -1,4 +1,4 @@
-"""Tables of evidence about an effect: what is doubted and why, each limit from both sides. Nothing is simulated."""
+"""Tables of evidence about an effect: what is doubted and why, each limit from both sides, unsimulated."""
 
 from __future__ import annotations
 
@@ -35,9 +35,10 @@ def error(chi2: float, bandwidth: float = 0.0) -> FitError:
 
 
 def evidence(without: float = 1.4, with_effect: float = 1.2, **known: Any) -> EffectEvidence:
-    """Return evidence of an effect without doubt, except for what is given; chi-squared per sample of both fits.
+    """Return evidence of an effect without doubt, but for what is given; chi-squared per sample of both fits.
 
-    Where the effect is not confirmed by a linear model, a fit without the run says the same unless it is given.
+    Where the effect is not confirmed by a linear model, a fit without the run says the same unless it is
+    given.
     """
     known = {"confirmed_accurate": known["confirmed"], **known} if "confirmed" in known else known
     gain = (without - with_effect) * COUNT
@@ -61,7 +62,7 @@ def evidence(without: float = 1.4, with_effect: float = 1.2, **known: Any) -> Ef
 
 
 def by_chance(gain: float, ratio: float) -> Chance:
-    """Return a reduction of the cost by an effect with one parameter; ratio of long-run variance to white noise."""
+    """Return a reduction of cost by an effect of one parameter; ratio of long-run variance to white."""
     return Chance(gain, LongRunVariance(ratio))
 
 
@@ -118,7 +119,8 @@ FORM = (
             "",
         ),  # in doubt, the slow error
         ({"chance": by_chance(2000.0, 85.0), "chance_narrower": by_chance(2000.0, 85.0)}, CHANCE),
-        # An error of a laser beside a force, and an eccentric encoder beside an eccentric pulley (random rigs).
+        # An error of a laser beside a force, and an eccentric encoder beside an eccentric pulley (random
+        # rigs).
         ({"disagreement": Disagreement(29_180.0, 29_704.0)}, MOTION),
         ({"disagreement": Disagreement(22_362.0, 21_912.0)}, ""),
         ({"beside_voltages": 49.0}, ""),  # twice what chance reaches
@@ -164,7 +166,8 @@ FORM = (
             {"forces": Forces(0.1, 0.3), "forceless": True, "with_effect": 1.6, "without": 2.0},
             "explains a force of 0.1 N, where 0.3 N remain unexplained",
         ),
-        # A load of 1.5 % that swings, at 60 rad/s and in simulation: rounding errors hid it from the observer.
+        # A load of 1.5 % that swings, at 60 rad/s and in simulation: rounding errors hid it from the
+        # observer.
         (
             {
                 "forces": Forces(0.0038, 0.0116),
@@ -225,7 +228,8 @@ def test_an_effect_must_reduce_the_error_beside_all_others(without: float, doubt
 @pytest.mark.parametrize(
     ("with_effect", "known", "candidate", "beside_others"),
     [
-        # A damping of belts removes 8 % of the error that a log slower than its controller leaves, and is there.
+        # A damping of belts removes 8 % of the error that a log slower than its controller leaves, and is
+        # there.
         (1.607, {"beside_voltages": 700.0}, "", ""),
         (1.607, {"beside_voltages": 40.0}, BETWEEN_ROWS, BETWEEN_ROWS),
         (1.607, {"beside_voltages": 700.0, "chance": by_chance(540.0, 30.0)}, CHANCE, CHANCE),

@@ -37,7 +37,7 @@ def test_the_smallest_gain_is_a_fraction_of_the_excess(
 
 @pytest.mark.parametrize(("after", "enough"), [(1.99, True), (2.02, False), (float("nan"), True)])
 def test_a_gain_is_compared_per_sample(after: float, enough: bool) -> None:
-    """A reduction that is not a number stays until another test rejects it, as the cost of a fit is finite."""
+    """A reduction that is no number stays until another test rejects it, as the cost of a fit is finite."""
     assert is_enough(error(2.9), error(after), 0.9) == enough
 
 

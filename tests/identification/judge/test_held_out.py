@@ -23,7 +23,7 @@ def test_a_clear_gain_in_simulation_counts_where_an_observer_shows_none(
 
 @pytest.mark.parametrize(("change", "excited"), [(0.51, True), (0.49, False), (math.nan, True)])
 def test_an_effect_that_hardly_changes_a_prediction_is_not_excited(change: float, excited: bool) -> None:
-    """The change is compared with a twentieth of the error, which is 10; a machine that diverges without it changes."""
+    """The change is compared with a twentieth of the error, 10; a diverging machine changes as well."""
     assert judge.is_excited(change**2, 10.0**2) == excited
 
 

@@ -1,4 +1,4 @@
-"""Tests of the linearized residual: derivatives, normal equations, elimination and the initial-state projection."""
+"""Tests of the linearized residual: derivatives, normal equations, elimination, initial-state projection."""
 
 from __future__ import annotations
 

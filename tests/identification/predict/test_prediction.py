@@ -1,4 +1,4 @@
-"""Tests of prediction: observer gains, residuals in units of the noise, zeros of sensors and blocks of rows."""
+"""Tests of prediction: observer gains, residuals in units of the noise, sensors' zeros and blocks of rows."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_observer_is_critically_damped(axis: Machine) -> None:
 def test_innovations_have_the_variance_of_the_gains_that_the_observer_has(
     axis: Machine, period: float
 ) -> None:
-    """In slow logs, the gains are limited. At 100 Hz, an exact machine had seemed to leave a quarter of the noise."""
+    """In slow logs, the gains are limited. At 100 Hz, an exact machine had seemed to leave a quarter."""
     position_gain = observer_gains(axis, period)[0, 0]
     variance = sensor_innovation_variance(axis, period, SEARCH_BANDWIDTH)
     np.testing.assert_allclose(variance, 1.0 / (1.0 - position_gain))
@@ -202,7 +202,7 @@ def test_loops_over_predictions_are_those_of_numpy(rows: int, sensors: int, rows
 
 
 def test_the_true_machine_lacks_no_force_where_an_effect_falsifies_the_position_at_rest() -> None:
-    """The laser reads 2 % too much, so that the encoders count from another position than the laser measures."""
+    """The laser reads 2 % too much, so that the encoders count from another position than the laser."""
     hframe = BUILTIN_MACHINES["hframe"]()
     true = hframe.with_effects(EFFECTS["sensor_scale"].at("x_m", g=0.02))
     time_s = np.arange(600) * 1e-3

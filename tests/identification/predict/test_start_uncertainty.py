@@ -40,7 +40,7 @@ def moving_run(machine: Machine, state: np.ndarray) -> Recording:
 
 
 def simulation_projection(machine: Machine, data: Dataset) -> InitialStateProjection | None:
-    """Return what removes the influence of an uncertain start from residuals of the first run's simulation."""
+    """Return what removes an uncertain start's influence from residuals of the first run's simulation."""
     run = data.runs[0]
     start = uncertain_starts(machine, data.runs)[run.name]
     motion = predict_with_displaced_starts(machine, run, SIMULATION, start, period=data.period)
@@ -61,7 +61,7 @@ def test_initial_stretch_is_projected_out_of_a_simulation(hframe: Machine) -> No
 
 
 def test_projection_of_a_machine_close_to_divergence_does_not_overflow(hframe: Machine) -> None:
-    """Fits try unstable parameters, with which an error of the start grows by more than 150 orders of magnitude."""
+    """Fits try unstable parameters, with which a start's error grows by over 150 orders of magnitude."""
     data = prepare([moving_run(hframe, rest_state(hframe))], hframe)
     unstable = hframe.replace({"x.viscous": -650.0 * hframe.coordinate("x").mass})
     with np.errstate(over="raise"):
@@ -76,7 +76,7 @@ def test_no_projection_without_belts(axis: Machine) -> None:
 
 
 def test_the_influence_of_a_rest_of_unknown_length_is_removed(axis: Machine) -> None:
-    """Friction after a rest is known to six e-folds only; over all of them, it moves the axis by no linear law."""
+    """Friction after a rest is known to six e-folds only; over all, it moves the axis nonlinearly."""
     machine = axis.with_effects(EFFECTS["dwell_friction"].at("x", dF=0.5, tau=0.02, D=1e-4))
     state = np.append(rest_state(axis), np.log(1.0 + 2.0 / 0.02))  # after a rest of 2 s
     time_s = np.arange(600) * 1e-3
@@ -112,7 +112,7 @@ def test_a_run_that_began_with_stretched_belts_is_simulated_from_that_stretch(hf
 
 
 def test_a_start_behind_another_minimum_of_the_error_is_found(hframe: Machine) -> None:
-    """The error of 600 rows has a local minimum of 3 beside the measured start, and is 0.4 two deviations away."""
+    """The error of 600 rows has a minimum of 3 beside the measured start, and 0.4 two deviations away."""
     run = prepare([moving_run(hframe, rest_state(hframe))], hframe).runs[0]
     (displacements,) = start_displacements(hframe, [run.initial])
     state = run.initial_state(hframe)

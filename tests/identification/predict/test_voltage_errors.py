@@ -120,7 +120,7 @@ def test_the_exact_machine_leaves_white_residuals_with_the_variance_of_noise() -
 
 
 def test_held_out_runs_count_unknown_voltages_in_units_of_the_noise_at_rest() -> None:
-    """These voltages pass for jitter, which makes the noise larger; the exact machine must not seem wrong for that."""
+    """These voltages pass for jitter, which raises the noise; the exact machine must not seem wrong."""
     evaluated: Any = SimpleNamespace(held_out=with_errors(), before=SimpleNamespace(machine=AXIS))
     assert with_errors().jitter > 0.0
     quiet = _quiet(evaluated, with_errors().runs)
@@ -138,7 +138,7 @@ def test_the_right_machine_does_not_seem_worse_because_unknown_voltages_add_up()
 
 
 def test_residuals_are_whitened_window_by_window() -> None:
-    """Each value has unit variance given those before it; the memory does not grow with the observer's time."""
+    """Each value has unit variance given those before it; memory does not grow with the observer's time."""
     data = with_errors()
     run, machine = data.runs[0].first_rows(203), AXIS
     errors_of_run = InterpolationErrors(machine, run, data)
@@ -159,7 +159,7 @@ def test_residuals_are_whitened_window_by_window() -> None:
 
 
 def test_a_wrong_zero_of_an_encoder_behind_belts_leaves_no_white_residual() -> None:
-    """The mean error over the run is mostly that of the voltages; belts adapted to what was left of a zero."""
+    """The mean error over the run is mostly that of the voltages; belts adapted to the rest of a zero."""
     run = with_errors().runs[0]
     errors_of_run = InterpolationErrors(AXIS, run, interpolated())
     wrong = np.zeros_like(run.outputs)
@@ -228,7 +228,7 @@ def test_resting_voltages_have_no_error() -> None:
 
 
 def test_steps_that_are_not_logged_answer_the_jitter_of_the_clock_as_the_rows_do() -> None:
-    """The rows' own answers are known and removed; those between them are as large, and no difference of rows shows."""
+    """The rows' own answers are known and removed; those between them are as large, and no row shows them."""
     rng, first = np.random.default_rng(0), slow_log().runs[0]
     rows = len(first.time_s)
     answers = rng.normal(0.0, 0.05, (UPDATES * rows, 1))
@@ -267,7 +267,7 @@ def test_instruments_weigh_a_pulley_that_least_squares_find_too_heavy() -> None:
 
 
 def test_instruments_find_no_damping_of_belts_where_none_is() -> None:
-    """From a damping of 1 ms, ten steps suffice; that which least squares find depends on errors of the voltages."""
+    """From a damping of 1 ms, ten steps suffice; that of least squares depends on the voltages' errors."""
     damped = least_squares().machine.with_effects(get_effect("belt_damping").at("belts", c=1e-3))
     started = fit(damped, default_free_parameters(damped), with_errors(), SEARCH_BANDWIDTH, iterations=0)
     assert started.values["belt_damping@belts.c"] == pytest.approx(1e-3)
@@ -280,7 +280,7 @@ def test_instruments_find_no_damping_of_belts_where_none_is() -> None:
 
 
 def test_a_delay_that_the_residual_indicates_is_no_doubt_about_a_delay() -> None:
-    """Of a fit by instruments as well, the variance has a part for it only where the delay itself is not asked for."""
+    """Of a fit by instruments as well, the variance has a part for it only where no delay is asked for."""
     found = fit_by_instruments(least_squares(), with_errors())
     assert found is not None
     assert found.covariance is not None

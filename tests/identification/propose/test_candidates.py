@@ -18,7 +18,7 @@ from tests.identification.single_axis import AXIS, axis_runs
 
 
 def motion(rate: float, kind: str = "force") -> tuple[np.ndarray, np.ndarray | None]:
-    """Return position, velocity and the force of a sine of position, beside viscous and dry friction; its factor."""
+    """Return position, velocity and force of a sine of position, beside viscous and dry friction."""
     time_s = np.arange(6000) * 1e-3
     position = 0.2 * np.sin(2 * np.pi * 0.37 * time_s) + 0.05 * np.sin(2 * np.pi * 1.7 * time_s)
     velocity = np.gradient(position, time_s)
@@ -64,7 +64,7 @@ def test_free_parameters_start_at_the_effects_values(hframe: Machine) -> None:
 
 
 def test_the_recorded_motion_limits_what_a_fit_may_reach(hframe: Machine) -> None:
-    """Less than a period of cogging, and a hysteresis over most of the travel, cannot be told from a spring."""
+    """Less than a period of cogging, and a hysteresis over most of the travel, seem like a spring."""
     scales = TypicalScales({"x": {"position": 0.2}, "phi1": {"position": 8.0}}, {})
     hysteresis = effect_parameters(EFFECTS["dahl_hysteresis"].at("x", F=1.0, L=0.01), hframe, scales)
     assert {f.name: f.upper for f in hysteresis}["dahl_hysteresis@x.L"] == pytest.approx(0.05)

@@ -1,4 +1,4 @@
-"""Tests of what runs cannot distinguish: rivals over the recorded motion, and parameters beyond what it covers."""
+"""Tests of what runs cannot distinguish: rivals over the recorded motion, and parameters beyond it."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_one_sine_cannot_tell_friction_over_speed_from_other_friction() -> None:
 
 @pytest.mark.parametrize("part", [1.0, 1e-9])
 def test_a_small_effect_is_compared_as_accurately_as_one_of_typical_size(part: float) -> None:
-    """Derivatives change the motion by a part of the typical size; that of a tiny effect would be rounding errors."""
+    """Derivatives change the motion by a part of the typical size; a tiny effect's would be rounding."""
     data = sines([[1.0]])
     fitted = fit(AXIS, default_free_parameters(AXIS), data, 60.0)
     typical = SearchState.of(fitted, data).candidate(EFFECTS["sensor_delay"], "x_m", {})

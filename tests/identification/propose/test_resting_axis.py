@@ -1,4 +1,4 @@
-"""Runs in which one axis of a gantry never moves: its candidates gain nothing, its parameters keep their priors."""
+"""Runs where one axis of a gantry never moves: its candidates gain nothing, its parameters keep priors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tests of fits whose residual has no useful derivative: thresholds that act at once, and parts that collide."""
+"""Tests of fits whose residual has no useful derivative: thresholds that act at once, parts that collide."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ def test_amount_stays_within_the_bounds_of_the_parameter(axis: Machine) -> None:
 
 
 def test_a_parameter_at_its_limit_takes_nothing_from_an_effect(axis: Machine) -> None:
-    """Without back-EMF, the declared damping falls to its limits. Below them, it would do what the bridge does."""
+    """Without back-EMF, the declared damping falls to its limits. Below, it would act like the bridge."""
     axis = axis.replace({"x.viscous": 0.1})
     data = prepare([recorded(axis.with_effects(EFFECTS["coasting_bridge"].at("motor", U=100.0)))], axis)
     fitted = fit(axis, default_free_parameters(axis), data, SEARCH_BANDWIDTH)
@@ -67,7 +67,7 @@ def test_a_parameter_at_its_limit_takes_nothing_from_an_effect(axis: Machine) ->
 
 
 def test_another_effect_in_place_of_one_saves_what_a_fit_would(axis: Machine) -> None:
-    """A cable explains a part of what the constant force does; a force that falls with speed explains less."""
+    """A cable explains part of what the constant force does; a force that falls with speed explains less."""
     wrong = EFFECTS["constant_force"].at("x", size=0.1)
     data = prepare([recorded(axis.with_effects(EFFECTS["cable_spring"].at("x", k=20.0, q0=0.0)))], axis)
     machine = axis.with_effects(wrong)

@@ -1,4 +1,4 @@
-"""Tests of the ranking of effects that replace a part of the model, or whose starting values are simulated."""
+"""Tests of the ranking of effects that replace a part of the model, or with simulated starting values."""
 
 from __future__ import annotations
 

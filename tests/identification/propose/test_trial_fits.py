@@ -88,7 +88,7 @@ def test_two_shapes_of_an_effect_are_fitted(axis: Machine) -> None:
 def test_the_larger_of_two_periodic_torques_takes_the_place_of_the_one_that_it_requires(
     axis: Machine,
 ) -> None:
-    """A search may find the smaller torque first; the larger one, its companion, must not depend on it forever."""
+    """A search may find the smaller torque first; the larger, its companion, must not depend on it."""
     larger = EFFECTS["cogging"].at("motor", A=0.4, n=200.0, p=0.3)
     small = EFFECTS["cogging"].at("motor", A=1e-4, n=520.0, p=0.0)
     companion = EFFECTS["second_cogging"].at("motor", **larger.parameters)
@@ -126,7 +126,7 @@ def test_a_belt_that_a_known_effect_divides_has_its_declared_length(hframe: Mach
 
 
 def test_each_effect_that_explains_the_runs_is_fitted_at_its_other_sites() -> None:
-    """A delay of drive 2 stands for its lag, too; a delay of drive 1 explains most of the rest, lags of both all of it.
+    """A delay of drive 2 stands for its lag; a delay of drive 1 explains most of the rest, both lags all.
 
     The lags promise half of what the delay does, because the delay of drive 2 has its optimum without them.
     """

@@ -56,7 +56,7 @@ def effect_entry(name: str, site: str, **fields: Any) -> dict[str, Any]:
 
 
 def report_with(errors: dict[str, Any] | None = None, **fields: Any) -> Report:
-    """Return a report with some fields, all of whose machines have the same errors by channel unless stated."""
+    """Return a report with some fields, whose machines have equal errors by channel unless stated."""
     of_machine = {"held_out": errors or {}}
     content = {
         "schema": 1,

@@ -253,7 +253,7 @@ def test_an_error_of_a_run_that_contradicts_the_others_has_a_known_cause(
 
 
 def test_errors_of_force_are_given_for_all_machines_or_for_none() -> None:
-    """A coordinate that an effect adds has no drive, so that the corrected machine has no error of the force."""
+    """A coordinate that an effect adds has no drive, so that the corrected machine has no force error."""
     frame = EFFECTS["frame_resonance"].at("x", f0=10.0, zeta=0.05, r=0.1, s=0.5)
     result = axis_result(axis_runs(AXIS, rows=400, volts=2.0), AXIS.with_effects(frame))
     assert result.before.held_out.force is not None
@@ -309,7 +309,7 @@ def test_the_missing_force_in_newtons_is_that_part_of_the_force_of_the_drives() 
 
 
 def test_accelerations_alone_tell_no_missing_force() -> None:
-    """An observer corrects no motion by them, so that the force of its corrections is 0 whatever is missing."""
+    """An observer corrects no motion by them, so that its corrections' force is 0 whatever is missing."""
     result = axis_result(axis_runs(AXIS, rows=400, volts=2.0), AXIS)
     felt = AXIS.replace(sensors=(Sensor("x_m", {"x": 1.0}, kind="acceleration"),))
     errors = dataclasses.replace(result.before.held_out, lacking=0.0)

@@ -1,4 +1,4 @@
-"""Tests of experiment design: it separates what can be separated, stays inside the travel and promises nothing else."""
+"""Tests of experiment design: it separates what it can, stays inside the travel and promises no more."""
 
 from __future__ import annotations
 

@@ -252,7 +252,7 @@ def test_a_machine_that_diverges_has_no_error_but_a_cause(data: Dataset, tmp_pat
 
 @pytest.mark.usefixtures("without_drawing")
 def test_an_unexplained_error_is_stated_in_the_users_terms_with_a_hint(data: Dataset, tmp_path: Path) -> None:
-    """The missing force depends on the current of the motor; effects that describe a part of it are no names."""
+    """The missing force depends on the current of the motor; effects for a part of it are no names."""
     result = result_of(data, "unexplained", AXIS)
     held_out = PredictionErrors({"x_m": ChannelError(5e-3, 250.0, 0.021)}, None, 0.0037)
     worse = dataclasses.replace(result.before, held_out=held_out)

@@ -80,7 +80,7 @@ def test_samples_of_inseparable_parameters_keep_their_sum(identified: Machine, a
 
 
 def test_three_parameters_of_one_undetermined_direction(axis: Machine) -> None:
-    """Along (0.5, 1, -0.4) of the values nothing is known: the sums a - 0.5 b and c + 0.4 b are determined."""
+    """Along (0.5, 1, -0.4) of the values nothing is known: sums a - 0.5 b and c + 0.4 b are known."""
     machine = axis.with_effects(
         EFFECTS["constant_force"].at("x", size=1.0), EFFECTS["voltage_offset"].at("motor", V0=1.0)
     )
@@ -153,7 +153,7 @@ def test_a_mass_at_the_limit_of_the_fit_is_reported(axis: Machine) -> None:
 
 @pytest.mark.parametrize(("deviations", "doubts"), [(3.9, []), (4.0, ["at the limit of the fit"]), (5.0, [])])
 def test_only_a_limit_that_acted_is_a_doubt(axis: Machine, deviations: float, doubts: list[str]) -> None:
-    """A plain fit has no limits, so that the motion determines a value beyond 4 standard deviations of the prior."""
+    """A plain fit has no limits, so that motion determines a value beyond 4 deviations of the prior."""
     rough = axis.replace({"x.coulomb": axis.parameters["x.coulomb"] * np.exp(deviations * 0.7)})
     machine = with_standard_deviations(rough, {"x.coulomb": 0.01, "x.mass": 0.01})
     assert parameter_doubts(machine, axis) == {"x.coulomb": doubts, "x.mass": []}
@@ -191,7 +191,7 @@ def test_friction_that_the_file_does_not_declare_is_a_finding_if_it_is_certain(a
 
 @pytest.mark.parametrize(("name", "factor"), [("motor.Ke", np.exp(4 * 0.2)), ("x.viscous", np.exp(-4 * 0.7))])
 def test_every_parameter_at_the_limit_of_the_fit_is_reported(axis: Machine, name: str, factor: float) -> None:
-    """Only masses, belt stiffnesses and torque constants were named, not a back-EMF that is wrong by a factor."""
+    """Only masses, belt stiffnesses and torque constants were named, not a wrong back-EMF."""
     assert axis.parameters[name] > 0.0
     far = axis.replace({name: axis.parameters[name] * factor})
     (text,) = parameters_at_limit(far, axis).values()

@@ -1,6 +1,7 @@
 """Tests of the selection of effects with scripted fits: each threshold from both sides.
 
-Nothing is simulated. Fits have the costs that a test gives them, so that a test states what is decided and why.
+Nothing is simulated. Fits have the costs that a test gives them, so that a test states what is decided and
+why.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ from tests.identification.scripted_fits import (
 DAHL = EFFECTS["dahl_hysteresis"].at("x", F=0.3, L=1e-3)
 
 
-# -- selection ---------------------------------------------------------------------------------------------------------
+# -- selection
+# ---------------------------------------------------------------------------------------------------------
 
 
 def test_effects_are_added_until_only_noise_is_left(scripted: Scripted) -> None:
@@ -114,7 +116,7 @@ def test_structural_effects_are_tried_again_beside_each_further_effect(scripted:
 def test_what_all_observers_hide_is_searched_for_in_simulation(
     scripted: Scripted, with_3_rad_s: float, left: float, found: bool
 ) -> None:
-    """An off-center encoder disk whose period is longer than the travel left 2.96 in simulation and 1.2 at 3 rad/s."""
+    """An off-center encoder disk whose period is longer than the travel left 2.96, and 1.2 at 3 rad/s."""
     scripted.simulated = 3.0
     scripted.narrower = {
         60.0: fit_with(chi2=with_3_rad_s, bandwidth=3.0),
@@ -131,7 +133,7 @@ def test_what_all_observers_hide_is_searched_for_in_simulation(
 def test_two_effects_that_hide_each_other_are_selected_together(
     scripted: Scripted, chi2: float, residue: float, found: bool
 ) -> None:
-    """The first one has less force than what remains without the second, and passes if it has more beside it."""
+    """The first one has less force than the rest without the second, and passes if it has more beside it."""
     first = 0.7 * chi2
     scripted.residue = {first: 2.0, 1.005: residue}
     scripted.without = {PUSH.label: fit_with(DRAG, chi2=3.0)}

@@ -99,7 +99,7 @@ def test_an_effect_whose_size_is_not_certain_in_the_end_is_removed(
 def test_inputs_that_act_later_are_no_doubt_about_a_lag(
     axis: Machine, lag: float, delay: float, kept: bool
 ) -> None:
-    """The residual of a lag that stands for a delay as well indicates a delay: no doubt that something is late."""
+    """The residual of a lag in place of a delay indicates a delay: no doubt that something is late."""
     timing = EFFECTS["electrical_lag"].at("motor", tau=lag), EFFECTS["input_delay"].at("drives", d=delay)
     late = axis.with_effects(*(timing if lag else ()))
     data = prepare([recorded(late, seed, noise=2e-8) for seed in (0, 2)], axis)
@@ -123,7 +123,7 @@ def test_an_effect_that_held_out_runs_confirm_stays(axis: Machine) -> None:
 def test_a_held_out_run_whose_error_an_effect_causes_does_not_contradict(
     axis: Machine, hidden: float, contradicting: tuple[str, ...]
 ) -> None:
-    """A constant force that only the fitted run has spoils the other run; a larger one there is not its fault."""
+    """A constant force of the fitted run only spoils the other; a larger one there is not its fault."""
     force = EFFECTS["constant_force"]
     pushed, other = (axis.with_effects(force.at("x", size=size)) for size in (0.3, hidden))
     data, held_out = prepare([recorded(pushed, 0)], axis), prepare([recorded(other, 1)], axis)
@@ -133,7 +133,7 @@ def test_a_held_out_run_whose_error_an_effect_causes_does_not_contradict(
 
 
 def outcome_with_spurious_friction(axis: Machine) -> tuple[SearchOutcome, Dataset]:
-    """Return an outcome that selected Tustin friction beside too low a Coulomb friction, and held-out runs of the axis.
+    """Return an outcome with Tustin friction beside too low a Coulomb friction, and held-out runs.
 
     The refitted machine has neither error.
     """
@@ -146,7 +146,7 @@ def outcome_with_spurious_friction(axis: Machine) -> tuple[SearchOutcome, Datase
 
 
 def test_effects_that_worsen_the_simulation_of_held_out_runs_are_removed(axis: Machine) -> None:
-    """The effect reduces the error of Coulomb friction that was fitted too low; the refitted machine needs none."""
+    """The effect reduces the error of Coulomb friction fitted too low; the refitted machine needs none."""
     outcome, held_out = outcome_with_spurious_friction(axis)
     before, after = outcome.before.machine, outcome.after.machine
     assert held_out_gain(outcome.selected[0], after, held_out, SIMULATION) > 0.5
@@ -161,7 +161,7 @@ def test_effects_that_worsen_the_simulation_of_held_out_runs_are_removed(axis: M
 
 
 def test_a_run_that_the_effects_together_spoil_does_not_contradict(axis: Machine) -> None:
-    """The effect reduces the error of the machine that was fitted with it; the machine refitted without it has none."""
+    """The effect reduces the error of the machine fitted with it; the one refitted without it has none."""
     outcome, held_out = outcome_with_spurious_friction(axis)
     assert contradicting_held_out_runs(outcome.after, outcome.before.machine, (), held_out) == ("run_1",)
     assert _contradicting_runs(outcome, held_out) == ()

@@ -1,4 +1,4 @@
-"""Tests of the search for a delay that the observer hides, in runs of an axis with a slow force that has no name."""
+"""Tests of the search for a delay that the observer hides, in runs of an axis with a slow unnamed force."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tests of what a search of effects remembers, so that nothing is fitted or screened twice; with real fits."""
+"""Tests of what a search of effects remembers, so that nothing is fitted or screened twice: real fits."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class PushedAxis:
 
 
 def test_a_rival_is_compared_once_beside_the_same_machine() -> None:
-    """The search settles rivals after each effect and at its end, where the comparison with all effects adds some."""
+    """The search settles rivals after each effect and at its end, when comparisons add some."""
     rig = PushedAxis()
     current = rig.fitted(PUSH)
 
@@ -63,7 +63,7 @@ def test_a_rival_is_compared_once_beside_the_same_machine() -> None:
 
 
 def test_the_most_likely_fit_of_a_machine_is_found_once() -> None:
-    """Each effect may have a rival, and more are compared later; without an observer, it is the polished fit."""
+    """Each effect may have a rival, more are compared later; without an observer, it is the polished fit."""
     rig = PushedAxis()
     current = rig.fitted(PUSH, bandwidth=SIMULATION)
     polished, steps = rig.steps(lambda: rig.search.polished(current))
@@ -86,7 +86,7 @@ def test_a_comparison_of_rivals_finds_the_most_likely_fit_that_is_polished_later
 def test_selected_effects_are_compared_with_the_candidates_of_the_last_step(
     effects: tuple[AppliedEffect, ...], screened: int
 ) -> None:
-    """A refit of the same effects resembles the same candidates; beside another effect, they are screened again."""
+    """A refit of the same effects resembles the same candidates; beside another, they are screened again."""
     rig = PushedAxis()
     current = rig.fitted(PUSH)
     for count in (1, 0):  # the same fit has the same candidates

@@ -30,7 +30,7 @@ from tests.identification.scripted_fits import (
 
 
 class ScriptedSearch:
-    """Replaces what the search calls: fits have the chi-squared that `chi2_of` gives by the effects' labels."""
+    """Replaces what the search calls: fits have chi-squared as `chi2_of` gives by effects' labels."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.before, self.after = 10.0, 10.0
@@ -156,7 +156,7 @@ def test_without_effects_a_machine_that_explains_the_data_is_right(scripted_sear
 def test_effects_are_examined_in_simulation_unless_it_is_worse(
     scripted_search: ScriptedSearch, chi2: float, simulated: float, examined: bool
 ) -> None:
-    """Where small errors grow without limit, a simulation says nothing about effects that an observer confirms."""
+    """Where small errors grow without limit, simulation says nothing about effects an observer confirms."""
     scripted_search.effects, scripted_search.after, scripted_search.simulated = (
         (selected(PUSH),),
         chi2,
@@ -193,7 +193,7 @@ def test_effects_that_fail_a_test_are_not_named_wherever_the_budget_ends(
 def test_rivals_are_compared_where_effects_are_named(
     scripted_search: ScriptedSearch, chi2: float, pruned: tuple[()] | None, compared: bool
 ) -> None:
-    """On the log of a geared motor, rivals of five effects took half of the budget; none of these was named."""
+    """On the log of a geared motor, rivals of 5 effects took half of the budget; none of these was named."""
     scripted_search.effects, scripted_search.pruned = (selected(PUSH),), pruned
     scripted_search.after = scripted_search.with_effects = scripted_search.wide = chi2
     outcome = scripted_search.run()
@@ -204,7 +204,7 @@ def test_rivals_are_compared_where_effects_are_named(
 def test_a_search_that_ends_before_it_begins_tests_the_effects_of_the_one_before(
     scripted_search: ScriptedSearch,
 ) -> None:
-    """A search with another number of voltages between the rows began when its time was over, and lost two effects."""
+    """A search with another number of voltages between rows began after its time, and lost two effects."""
     scripted_search.after = scripted_search.with_effects = scripted_search.wide = 1.0
     scripted_search.ends_in = "runs"
     outcome = scripted_search.run(known=(selected(PUSH), selected(SPRING)))
@@ -225,7 +225,7 @@ def test_a_machine_that_explains_the_data_is_fitted_run_by_run(
 
 
 def test_held_out_runs_judge_with_the_observer_of_the_search(scripted_search: ScriptedSearch) -> None:
-    """Also where the final fit is one in simulation, which shows chance gains of effects that the observer denies."""
+    """Also where the final fit is in simulation, which shows chance gains of effects the observer denies."""
     scripted_search.effects, scripted_search.after = (selected(PUSH),), 1.2
     scripted_search.simulated = 1.1
     outcome = scripted_search.run()
@@ -255,7 +255,7 @@ TABLE = definition("smooth_force[position of x]").at(
 def test_effects_of_one_variable_give_way_to_a_table_that_simulates_clearly_better(
     scripted_search: ScriptedSearch, table: float, names: list[AppliedEffect]
 ) -> None:
-    """A spring and cogging explain the data with an observer, but leave ten times the noise in a simulation."""
+    """A spring and cogging explain the data with an observer, but leave ten times the noise in simulation."""
     scripted_search.effects, scripted_search.after = (selected(SPRING), selected(COGGING)), 1.2
     scripted_search.tables = [(fit_with(TABLE, chi2=1.1), (selected(TABLE),))]
     scripted_search.simulated_tables = table
@@ -317,7 +317,7 @@ def test_only_effects_that_may_differ_by_run_give_way_to_a_parameter_that_does(
 def test_a_table_over_time_may_take_the_place_of_an_effect_that_imitates_a_drift(
     scripted_search: ScriptedSearch, drifts: bool
 ) -> None:
-    """A guide that rubs more while it is cold was `unexplained`: the effect of the library warms all of the machine."""
+    """A guide that rubs more while cold was `unexplained`: the library's effect warms all of the machine."""
     scripted_search.effects = (selected(WARM_UP),)
     scripted_search.after = scripted_search.with_effects = scripted_search.wide = 5.0
     scripted_search.tables = [(fit_with(TABLE, chi2=1.1), (selected(TABLE),))]

@@ -32,7 +32,7 @@ NOISE = 20e-6  # m
 
 
 def runs_with_cable(axis: Machine, stiffness: float, offsets: tuple[float, ...]) -> tuple[Fit, Dataset]:
-    """Return a fit of the axis without its cable to runs that oscillate; an offset, V, moves a run to one side."""
+    """Return a fit of the axis without its cable to runs that oscillate, to one side by an offset, V."""
     rig = axis.with_effects(EFFECTS["cable_spring"].at("x", k=stiffness, q0=0.0))
     time_s = np.arange(2000) * 1e-3
     random = np.random.default_rng(0)
@@ -47,7 +47,7 @@ def runs_with_cable(axis: Machine, stiffness: float, offsets: tuple[float, ...])
 
 
 def test_a_table_may_have_values_that_a_single_run_determines(axis: Machine) -> None:
-    """Only the last of five runs reaches large positions, so that no other run predicts the cable's force there."""
+    """Only the last of five runs reaches large positions, so that no other predicts the cable's force."""
     fitted, data = runs_with_cable(axis, 40.0, (0.0, 0.3, -0.3, 0.2, 3.0))
     with_table, tables = add_tables(
         fitted, (), data, criteria=SelectionCriteria(), max_tables=1, log=lambda line: None
@@ -108,7 +108,7 @@ def catch(q: np.ndarray) -> np.ndarray:
 
 
 def test_the_knots_of_a_table_move_to_a_narrow_bend(axis: Machine) -> None:
-    """Evenly spaced knots are further apart than the catch is wide; moved ones describe it to a few percent."""
+    """Evenly spaced knots are further apart than the catch is wide; moved ones reach a few percent."""
     dense = CENTER + WIDTH * np.linspace(-4.0, 4.0, KNOTS)
     truth = {f"k{i:02d}": k for i, k in enumerate(dense)} | {
         f"f{i:02d}": f for i, f in enumerate(catch(dense))
@@ -150,7 +150,7 @@ def test_knots_are_dense_only_at_a_bend_that_noise_does_not_explain(bend: float)
 
 
 def test_cross_validation_is_not_dominated_by_one_half_of_a_run() -> None:
-    """A table that explains all halves but one is accepted, one that explains what needed no explanation is not."""
+    """A table that explains all halves but one is accepted, one that explains what needed none is not."""
     before = np.array([80.0, 90.0, 10.0, 0.0])  # a piece may have no valid measurement
     with_table, trivial = np.array([2.0, 2.0, 570.0, 0.0]), np.array([79.0, 89.0, 0.1, 0.0])
     expected = (2 / 80) ** (80 / 180) * (2 / 90) ** (90 / 180) * 57 ** (10 / 180)

@@ -34,7 +34,7 @@ EXACT = VerdictEvidence(left=1.0, left_before=1.0, motion=1e-4, lacking=1e-6, re
 
 @pytest.mark.parametrize("left", [142.0, 588.0, 23_839.0, 2.01, math.inf])
 def test_no_effect_is_not_said_above_twice_the_noise(left: float) -> None:
-    """A sensor that repeated its measurements was taken for jitter of the clock, and this for the whole error."""
+    """A sensor that repeated its measurements was taken for jitter of the clock, and that for all error."""
     reason = contradiction_of_no_effect(dataclasses.replace(EXACT, left=left), CRITERIA)
     expected = f"{left:.3g} times the noise of the sensors" if math.isfinite(left) else "diverges"
     assert expected in reason
@@ -152,7 +152,7 @@ def test_a_fit_that_explains_everything_does_not_lead_to_no_effect() -> None:
 
 @pytest.mark.parametrize(("remaining_fraction", "named"), [(0.11, True), (0.26, False)])
 def test_effects_that_are_the_main_causes_may_leave_more(remaining_fraction: float, named: bool) -> None:
-    """Of a real axis, 11 % of the squared error remained beside friction that was confirmed on another record."""
+    """Of a real axis, 11 % of the squared error remained beside friction confirmed on another record."""
     evidence = VerdictEvidence(3e5, 1e6, 0.01, 0.02, remaining_fraction, causes_named=True)
     assert (contradiction_of_names(evidence, False, CRITERIA) == "") == named
 
@@ -194,7 +194,7 @@ def test_effects_are_named_beside_what_unknown_voltages_leave(
 def test_right_effects_remove_the_square_of_what_they_change(
     size: float, reduction: float, fast: float
 ) -> None:
-    """Of an effect of twice the true size nothing remains; a slow force beside both changes little of that."""
+    """Of an effect of double the true size nothing remains; a slow force beside both changes little."""
     cogging = EFFECTS["cogging"]
     rng, time_s = np.random.default_rng(0), np.arange(1500) * 1e-3
     volts = np.where(time_s > 0.1, 4.0 * np.sin(9.0 * time_s) + 2.0 * np.sin(23.0 * time_s), 0.0)[:, None]

@@ -1,4 +1,4 @@
-"""Tests of the simulation of a recording: stored zeros of encoders, dropped samples, outliers, the held-out errors."""
+"""Tests of a recording's simulation: stored encoder zeros, dropped samples, outliers, the held-out errors."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_the_zeros_of_a_session_travel_in_the_machine_file(identified: Machine, 
 def test_a_single_run_starts_with_its_true_stretch(
     hframe: Machine, identified: Machine, session: list[Recording]
 ) -> None:
-    """The motion of the run shows the stretch as well as the zeros of five runs do; it is up to three quanta."""
+    """The motion of the run shows the stretch as well as the zeros of five runs do; it is three quanta."""
     for k, run in enumerate(session):
         true = rest_state(hframe, STARTS[k])[2:4] + STRETCH[k]
         for machine in (identified, hframe):
@@ -188,7 +188,7 @@ def test_errors_of_a_machine_that_diverges_are_reported(hframe: Machine, session
 
 
 def test_later_measurements_locate_a_start_in_spite_of_stretched_belts(hframe: Machine) -> None:
-    """The laser sees the stage only while the drives pull it, which stretches the belts by tenths of a millimeter."""
+    """The laser sees the stage only while the drives pull it, which stretch the belts by tenths of a mm."""
     time_s = np.arange(600) * 1e-3
     inputs = np.where((time_s[:, None] > 0.1) & (time_s[:, None] < 0.4), (5.0, -4.0), 0.0)
     outputs = simulate(hframe, time_s, inputs, rest_state(hframe, (0.09, 0.01))).outputs
@@ -254,7 +254,8 @@ def test_a_servo_log_is_used_from_its_first_measurement_on(unmeasured: int) -> N
     simulated = simulate_recording(servo, run)
     assert simulated.error.shape == (400, 1)
     assert np.isnan(simulated.outputs[:unmeasured]).all()
-    # A wrong start would be an error of its lag, 50 mrad, at first; an estimated speed costs some of the noise, 1 mrad.
+    # A wrong start would be an error of its lag, 50 mrad, at first; an estimated speed costs some of the
+    # noise, 1 mrad.
     assert np.abs(simulated.error[unmeasured:]).max() < 5e-3
 
 
@@ -281,7 +282,7 @@ def test_a_machine_whose_simulation_diverges_on_a_held_out_run_has_no_error(
 def test_one_path_prepares_recordings_with_the_criteria_of_the_identification(
     hframe: Machine, session: list[Recording], travel: float, blanked: bool
 ) -> None:
-    """A laser begins at the end of its range: the fit, the simulation and the initial state agree on what it shows."""
+    """A laser begins at the end of its range: fit, simulation and initial state agree on what it shows."""
     run = session[1]
     begin = run.outputs[0, 2]
     run.outputs[:, 2] = np.minimum(run.outputs[:, 2], begin - 0.5e-3)

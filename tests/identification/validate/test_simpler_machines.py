@@ -40,7 +40,7 @@ def fit_of(machine: Machine) -> Fit:
 
 @dataclasses.dataclass
 class HeldOutRuns:
-    """Held-out runs on which machines have given errors, in units of the noise, by the labels of their effects."""
+    """Held-out runs with given errors of machines, in units of the noise, by the labels of their effects."""
 
     machine: Machine
     errors_of: dict[tuple[str, ...], float]
@@ -140,7 +140,7 @@ FORCE_LABEL, SPRING_LABEL, DRAG_LABEL = "constant_force@x", "cable_spring@x", "q
 
 
 def plain_with_uncertain_force() -> PlainFit:
-    """Return a plain fit whose runs show no term, beside one with a constant force that other runs may confirm."""
+    """Return a plain fit whose runs show no term, beside one of a constant force that others may confirm."""
     machine = AXIS.replace(effects=())
     return PlainFit(machine, (fit_of(machine),), (fit_of(machine.with_effects(FORCE)),))
 
@@ -246,7 +246,7 @@ def test_simulations_decide_along_other_motions(simpler: str) -> None:
 @pytest.mark.parametrize("explained", [True, False])
 @pytest.mark.parametrize("gain", [1.0, 0.5])
 def test_held_out_runs_that_contradict_all_machines_choose_none(explained: bool, gain: float) -> None:
-    """A run with a smaller gain contradicts two others: of two errors of hundreds of times the noise, none is right."""
+    """A run with a smaller gain contradicts two others: of errors of hundreds of noises, none is right."""
     declared, fitted = AXIS.replace(effects=()), AXIS.replace(effects=()).with_effects(FORCE)
     held_out = DATA.with_runs(["run_2"])
     held_out = held_out.with_inputs({run.name: gain * run.inputs for run in held_out.runs})

@@ -1,4 +1,4 @@
-"""Where a motion is unstable, a simulation enlarges an error as small as the noise, at any moment of a run."""
+"""Where a motion is unstable, a simulation enlarges an error as small as noise, at any moment of a run."""
 
 from __future__ import annotations
 

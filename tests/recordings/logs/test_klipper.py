@@ -1,4 +1,4 @@
-"""Logs of Klipper are read: accelerometer files, and motions, steps, accelerations and angles of its data_logger."""
+"""Logs of Klipper are read: accelerometer files, and motions, steps and more of its data_logger."""
 
 from __future__ import annotations
 

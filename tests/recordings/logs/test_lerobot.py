@@ -1,4 +1,4 @@
-"""Data sets of LeRobot are read by episodes, with the names of their motors; lists in other Parquet files by number."""
+"""Data sets of LeRobot are read by episode, with motors' names; lists in other Parquet files by number."""
 
 from __future__ import annotations
 

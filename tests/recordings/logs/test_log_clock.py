@@ -1,4 +1,4 @@
-"""Counters that start anew are continued, logs are cut where a clock restarts, and other times are refused."""
+"""Counters that start anew are continued, logs are cut where a clock restarts, other times are refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Logs as the software of controllers, loggers and oscilloscopes writes them are read with names, units and values."""
+"""Logs of controllers, loggers and oscilloscopes are read with names, units and values."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ RIGOL_OLD = "X,CH1,CH2,Start,Increment,\nSequence,Volt,Volt,-1.200000e-02,1.0000
 
 @dataclass(frozen=True)
 class Dialect:
-    """Text of a log, and the names and units of its columns as they are understood; values are those above."""
+    """Text of a log, and the names and units of its columns as understood; values are those above."""
 
     text: str
     names: tuple[str, ...]

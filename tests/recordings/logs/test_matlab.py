@@ -96,7 +96,7 @@ def test_tables_and_timeseries_are_columns(tmp_path: Path, version: str) -> None
 
 
 def test_signals_of_a_simulink_data_set_are_columns(tmp_path: Path) -> None:
-    """A running model writes them in streams, with times if its steps are not equal; a bus contains several."""
+    """A running model writes them in streams, with times if steps are not equal; a bus contains several."""
     write_simulink_signals(tmp_path / "log.mat", TIME, POSITION)
     (log,) = open_logs(tmp_path / "log.mat")
     columns = dict(zip([c.header for c in log.columns], log.read(log.columns)[0], strict=True))
@@ -110,7 +110,7 @@ def test_signals_of_a_simulink_data_set_are_columns(tmp_path: Path) -> None:
 
 
 def test_each_experiment_of_iddata_is_a_log(tmp_path: Path) -> None:
-    """The System Identification Toolbox keeps names, units and sampling periods of each experiment in an object."""
+    """The System Identification Toolbox keeps names, units and periods of each experiment in an object."""
     data = _iddata([POSITION, POSITION[:30]], periods=[1e-3, 2e-3], names=["Exp1", "slow"])
     io.savemat(tmp_path / "course.mat", {"data": data, "step": _iddata([POSITION], [5e-3], ["Exp1"])})
     first, slow, step = open_logs(tmp_path / "course.mat")

@@ -1,4 +1,4 @@
-"""Bags of ROS 1 and 2 and MCAP files are read: topics, joints by name, times of headers, and damaged files."""
+"""Bags of ROS 1 and 2 and MCAP files are read: topics, joints by name, header times, and damaged files."""
 
 from __future__ import annotations
 

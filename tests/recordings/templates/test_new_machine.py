@@ -142,7 +142,8 @@ def test_a_longer_frame_has_longer_belts_in_proportion_to_its_sides() -> None:
     machine = new_machine("corexy", "mine", MachineOptions(travel=(0.5, 0.3)))
     preset = BUILTIN_MACHINES["corexy"]()
     gain = {b.name: b.rest_length - p.rest_length for b, p in zip(machine.belts, preset.belts, strict=True)}
-    # The short section ends at the middle of the bridge; the long one runs along the rear and half of the bridge.
+    # The short section ends at the middle of the bridge; the long one runs along the rear and half of the
+    # bridge.
     assert gain == pytest.approx(
         {"belt1_short": 0.1, "belt1_long": 0.3, "belt2_short": 0.1, "belt2_long": 0.3}
     )
@@ -191,7 +192,8 @@ def test_an_axis_with_a_pulley_a_rotor_and_an_encoder_only() -> None:
 
 @pytest.mark.parametrize(
     ("like", "kind", "channel", "largest"),
-    [  # largest position: half of the travel, of a pulley in the corner; largest speed: rated voltage / (Ke gear_ratio)
+    # Largest position: half of the travel, of a pulley in the corner; speed: rated voltage / (Ke gear_ratio).
+    [
         ("axis", "position", "command_m", 0.25),
         ("xy-table", "position", "command_x_m", 0.25),
         ("xy-table", "speed", "command_x_m_s", 24.0 / (0.05 * 50.0)),
@@ -267,7 +269,8 @@ def test_a_preset_reaches_its_goals_with_the_controller_for_its_drives(name: str
     result = evaluate(controller, name, randomize="none", episodes=8, period=period)
     scores = result.scores["controllers"][controller]
     widest = next(iter(scores["success"]))
-    # A servo without integral action stops up to 25 mrad from its goal: friction over its stiffness, 0.01 / 0.4 rad.
+    # A servo without integral action stops up to 25 mrad from its goal: friction over its stiffness, 0.01 /
+    # 0.4 rad.
     errors = scores.get("final_error_mrad", scores.get("final_error_mm"))
     assert scores["success"][widest] == 1.0 or (name == "servo" and errors["mean"] < 25.0)
 

@@ -1,4 +1,4 @@
-"""Strategies that propose effects to the search: found because they are in this folder (`candidates.STRATEGIES`)."""
+"""Strategies that propose effects to the search: found in this folder (`candidates.STRATEGIES`)."""
 
 from ....registry import import_modules
 

@@ -1,8 +1,8 @@
 """Propose every effect of the library at every site, with several starting values.
 
-The library gives starting values relative to typical sizes (0.3 of the typical force, a tenth of the top speed). Those
-of periods are the peaks of a periodogram of the missing force, the force that the model lacks, or of the errors of a
-sensor.
+The library gives starting values relative to typical sizes (0.3 of the typical force, a tenth of the top
+speed). Those of periods are the peaks of a periodogram of the missing force, the force that the model lacks,
+or of the errors of a sensor.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from ..candidates import STRATEGIES, Candidate, SearchState
 from ..periodogram import block_means, periodogram_peaks, slow_rates
 
 _MAX_SHAPES = 64  # Sets of starting values per effect and site.
-# s; means over it keep what a periodogram shows: periods of at least 25 ms (`HIGHEST_FREQUENCY`), of which it needs
-# four rows, and noise, of which they leave no more than all rows do.
+# s; means over it keep what a periodogram shows: periods of at least 25 ms (`HIGHEST_FREQUENCY`), of which it
+# needs four rows, and noise, of which they leave no more than all rows do.
 _BLOCK_S = 4e-3
 
 
@@ -56,7 +56,7 @@ def _starting_values(effect: Effect, site: str, state: SearchState) -> list[Mapp
 
 
 def _rates(effect: Effect, site: str, state: SearchState) -> Array:
-    """Return the strongest spatial rates of missing force or sensor error, (rates,), rad per unit of the position.
+    """Return the main spatial rates of missing force or sensor error, (rates,), rad per unit of the position.
 
     Friction that varies slowly over the position may hide in its noise, and starts from a grid as well.
     """

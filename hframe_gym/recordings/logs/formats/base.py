@@ -12,8 +12,8 @@ from ....errors import InputError
 from ....registry import Registry
 from ..log import Log
 
-# Bytes at the beginning of a file by which its format is recognized. They contain the header of a table below some
-# lines of messages.
+# Bytes at the beginning of a file by which its format is recognized. They contain the header of a table below
+# some lines of messages.
 START_BYTES = 4096
 # Precedence of formats that recognize the same file.
 ANY_TEXT = 0
@@ -26,8 +26,8 @@ class LogFormat(ABC):
     """File format of logs: how its files are recognized, and how one is opened.
 
     Attributes:
-        suffixes: Endings of the names of its files, in lower case, by which they are found in a folder; those of texts
-            need not be repeated.
+        suffixes: Endings of the names of its files, in lower case, by which they are found in a folder; those
+            of texts need not be repeated.
         precedence: Of the formats that recognize a file, the one with the highest opens it.
     """
 
@@ -51,7 +51,8 @@ class LogFormat(ABC):
             The logs in the file, with columns of the shape (rows,); each becomes one or more runs.
 
         Raises:
-            InputError: If the file is damaged, has no numbers, or an extra is missing. The message names the file.
+            InputError: If the file is damaged, has no numbers, or an extra is missing. The message names the
+                file.
         """
 
     def logs_in(self, folder: Path) -> list[Path]:

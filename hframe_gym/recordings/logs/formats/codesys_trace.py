@@ -1,4 +1,4 @@
-"""Traces of CODESYS and of controllers built on it: one block of a text file for each variable, with its own times."""
+"""Traces of CODESYS and controllers built on it: a block of a text file for each variable, with its times."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ _UNITS = {"time": "s", **dict.fromkeys(("accel_x", "accel_y", "accel_z"), "mm/s^
 
 @LOG_FORMATS.register("klipper_accelerometer")
 class KlipperAccelerometerLogs(LogFormat):
-    """Text files of ACCELEROMETER_MEASURE and of TEST_RESONANCES OUTPUT=raw_data; their spectra are refused."""
+    """Text files of ACCELEROMETER_MEASURE and of TEST_RESONANCES OUTPUT=raw_data; spectra are refused."""
 
     precedence = KNOWN_TEXT
 
@@ -43,7 +43,7 @@ def _unit(name: str) -> str:
 
 
 def _header(start: bytes) -> str:
-    """Return the line that is the header of such a file, of a measurement or the beginning of a spectrum's; else ""."""
+    """Return the header line of such a file, of a measurement or a spectrum's beginning; else ""."""
     lines = start.decode("ascii", errors="replace").lower().splitlines()
     for line in lines[:3]:  # a line about lost samples may precede the header
         if line.strip() == _HEADER:

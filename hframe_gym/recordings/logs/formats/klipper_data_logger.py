@@ -1,8 +1,9 @@
 """Logs of Klipper's data_logger (PREFIX.json.gz): commanded motion, steps, accelerometers and angle sensors.
 
-The file is a stream of JSON messages, compressed by gzip, with a character 3 after each. A message with the entry "q"
-belongs to a subscription, whose name is the kind of data and the name of the part, such as "adxl345:bed". All times are
-those of the printer's main board, in s. The file PREFIX.index.gz beside it is not needed.
+The file is a stream of JSON messages, compressed by gzip, with a character 3 after each. A message with the
+entry "q" belongs to a subscription, whose name is the kind of data and the name of the part, such as
+"adxl345:bed". All times are those of the printer's main board, in s. The file PREFIX.index.gz beside it is
+not needed.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ from .tables import Rows, TimedTable, log_of_tables, signal_columns, table_in_me
 
 _END = b"\x03"  # of a message
 _BLOCK = 1 << 16  # compressed bytes that are expanded at a time; the size is checked after each block
-# s; commanded motions, which the log has as pieces of constant acceleration, are given at this period without sensors.
+# s; commanded motions, which the log has as pieces of constant acceleration, are given at this period without
+# sensors.
 _PERIOD = 1e-3
 _MOST_STEPS = 65535  # in one row of steps; the printer's board counts them with 16 bits
 _MOTIONS, _STEPS = "trapq", "stepq"  # kinds of data that are commands
@@ -150,8 +152,8 @@ def _angle(path: Path, name: str, params: Sequence[dict[str, Any]]) -> TimedTabl
 def _steps(path: Path, name: str, params: Sequence[dict[str, Any]]) -> TimedTable:
     """Return the commanded position of a stepper motor after each of its steps.
 
-    A row [interval, count, add] of the data stands for steps at growing distances in ticks of the clock; a negative
-    count means steps backward.
+    A row [interval, count, add] of the data stands for steps at growing distances in ticks of the clock; a
+    negative count means steps backward.
     """
     times, positions, total = [], [], 0
     for number, block in enumerate(params, start=1):
@@ -232,7 +234,8 @@ def _in_memory(name: str, endings: Sequence[str], time_s: Array, values: Sequenc
     return table_in_memory([f"{name}/{ending}" for ending in endings], name, time_s, values)
 
 
-# By the kind of data, the part of the subscription's name before the colon; motions follow the times of the sensors.
+# By the kind of data, the part of the subscription's name before the colon; motions follow the times of the
+# sensors.
 _TABLES = {
     _STEPS: _steps,
     "angle": _angle,

@@ -81,7 +81,7 @@ def _episode(
 
 
 def _item_names(path: Path) -> dict[str, list[str]]:
-    """Return the names of the items of each column of lists, from the description of the data set if there is one."""
+    """Return the names of the items of each column of lists, from the data set's description if any."""
     info = next(
         (folder / _INFO for folder in list(path.parents)[:_LEVELS] if (folder / _INFO).is_file()), None
     )

@@ -1,8 +1,8 @@
 """MATLAB and HDF5 files; columns are their vectors and the columns of their matrices, also in structs.
 
-Each experiment in the iddata objects of the System Identification Toolbox is a log, if the file has nothing else.
-MATLAB files of version 7.3 are HDF5 files, which need h5py (extra `hdf5`); tables and timeseries need mat-io (extra
-`matlab`).
+Each experiment in the iddata objects of the System Identification Toolbox is a log, if the file has nothing
+else. MATLAB files of version 7.3 are HDF5 files, which need h5py (extra `hdf5`); tables and timeseries need
+mat-io (extra `matlab`).
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"  # at the beginning of the file, or after 512 bytes
 _MATLAB_BLOCK = 512
 _MAT_HEADER = 128  # bytes before the first variable in MATLAB files of version 5 to 7
 _MAT_COMPRESSED = 15  # type of a compressed variable
-# Compressed bytes per step. A byte expands to 1032 at most, a step to 64 MB; the size is checked after each step.
+# Compressed bytes per step. A byte expands to 1032 at most, a step to 64 MB; the size is checked after each
+# step.
 _MAT_BLOCK = 1 << 16
 
 
@@ -70,7 +71,7 @@ def _open_mat(path: Path) -> list[Log]:
 
 
 def _mat_vectors(path: Path, kind: str) -> dict[str, list[tuple[str, NDArray[np.float64]]]]:
-    """Return the names and values of all vectors of a file by part, "" for the whole; a separate process reads them.
+    """Return the names and values of all vectors of a file by part, "" for all, in a separate process.
 
     The readers can end the process on damaged files (segmentation fault), which no exception handler sees.
     """

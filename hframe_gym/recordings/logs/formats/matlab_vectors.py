@@ -1,9 +1,10 @@
-"""Read the vectors of a MATLAB or HDF5 file; run as a separate program, because damaged files can crash the readers.
+"""Read the vectors of a MATLAB or HDF5 file; a separate program, as damaged files can crash readers.
 
     python matlab_vectors.py LOG.mat VECTORS.npz LIMIT
 
-LIMIT is the largest accepted size of the arrays in an HDF5 file, bytes. The program imports nothing of this package, so
-that it starts quickly. It ends with exit code 2 and one line on standard error if the file cannot be read.
+LIMIT is the largest accepted size of the arrays in an HDF5 file, bytes. The program imports nothing of this
+package, so that it starts quickly. It ends with exit code 2 and one line on standard error if the file cannot
+be read.
 """
 
 import importlib.util
@@ -17,7 +18,8 @@ from numpy.typing import NDArray
 _DEEPEST = 32  # structures in structures
 # Names under which SciPy and HDF5 return what MATLAB's objects consist of.
 _OBJECTS = {"__function_workspace__", "#subsystem#"}
-# Fields of an iddata object of the System Identification Toolbox, and units of time by the names that it has for them.
+# Fields of an iddata object of the System Identification Toolbox, and units of time by the names that it has
+# for them.
 _IDDATA = {"Domain", "OutputData", "InputData", "OutputName", "InputName", "Ts", "SamplingInstants"}
 _TIME_UNITS = {
     "milliseconds": "ms",
@@ -34,7 +36,7 @@ _STREAM_TYPES = {"double": "f8", "single": "f4", "logical": "u1", "boolean": "u1
 
 
 def vectors(name: str, value: Any) -> Iterator[tuple[str, NDArray[np.float64]]]:
-    """Yield all numeric vectors in a variable of a MATLAB file, also in its fields and cells; skip scalars and texts.
+    """Yield all numeric vectors in a MATLAB variable, also in fields and cells; skip scalars and texts.
 
     A matrix gives its columns if it has more rows than columns, else its rows.
 
@@ -42,8 +44,8 @@ def vectors(name: str, value: Any) -> Iterator[tuple[str, NDArray[np.float64]]]:
         value: Array, structure (dictionary) or cell array (list) as SciPy returns it.
 
     Yields:
-        Name of a vector ("log.t" for a field, "data.2" for the second column of a matrix, the label of a Simulink
-        signal, or "time" for the axis of dSPACE ControlDesk) and its values, shape (N,).
+        Name of a vector ("log.t" for a field, "data.2" for the second column of a matrix, the label of a
+        Simulink signal, or "time" for the axis of dSPACE ControlDesk) and its values, shape (N,).
     """
     if isinstance(value, dict):
         # A signal of Simulink's structure with time has a label, one of dSPACE ControlDesk a name.
@@ -63,7 +65,7 @@ def vectors(name: str, value: Any) -> Iterator[tuple[str, NDArray[np.float64]]]:
 
 
 def _with_named_axis(structure: dict[str, Any]) -> dict[str, Any]:
-    """Name the axis of time of dSPACE ControlDesk, whose structure is named after its file: X, without a name."""
+    """Name the axis of time of dSPACE ControlDesk, a structure named after its file: X, without a name."""
     axis = structure.get("X")
     if "Y" not in structure or not isinstance(axis, dict) or "Data" not in axis:
         return structure
@@ -72,15 +74,15 @@ def _with_named_axis(structure: dict[str, Any]) -> dict[str, Any]:
 
 
 def experiments(name: str, value: Any) -> Iterator[tuple[str, list[tuple[str, NDArray[np.float64]]]]]:
-    """Yield the experiments of an iddata object of the System Identification Toolbox, if the variable is one in time.
+    """Yield the experiments of an iddata object of MATLAB, if the variable is one in time.
 
     Args:
         name: Name of the variable.
         value: Its content as SciPy returns it: a dictionary of the object's fields.
 
     Yields:
-        Name of the experiment ("data", or "data_Exp2" if the object has several), and headers with units and values of
-        its columns, shape (N,) each: the time, the inputs and the outputs.
+        Name of the experiment ("data", or "data_Exp2" if the object has several), and headers with units and
+        values of its columns, shape (N,) each: the time, the inputs and the outputs.
     """
     if not isinstance(value, dict) or not value.keys() >= _IDDATA or value["Domain"] != "Time":
         return
@@ -100,7 +102,7 @@ def experiments(name: str, value: Any) -> Iterator[tuple[str, list[tuple[str, ND
 
 
 def _experiment_list(values: Any) -> list[NDArray[Any]]:
-    """Return the signals of each experiment, shape (N, signals): an array for one, a cell array for several."""
+    """Return the signals of each experiment, shape (N, signals): an array for one, or cells."""
     several = isinstance(values, list) or (isinstance(values, np.ndarray) and values.dtype == object)
     arrays = [np.asarray(member) for member in (values if several else [values])]
     return [array.reshape(len(array), -1) for array in arrays if array.ndim and array.size]
@@ -135,9 +137,9 @@ def objects(path: str) -> dict[str, Any]:
     """Read the tables, timetables and timeseries of a MATLAB file, which Simulink writes by default.
 
     Returns:
-        Dictionaries by name of the variable, with the properties as MATLAB names them: columns of a table; Time, s, and
-        Data of a timeseries. Other objects are left out; all of them without the package mat-io, or if it does not
-        understand one, such as a stream of Simulink.
+        Dictionaries by name of the variable, with the properties as MATLAB names them: columns of a table;
+        Time, s, and Data of a timeseries. Other objects are left out; all of them without the package mat-io,
+        or if it does not understand one, such as a stream of Simulink.
     """
     if importlib.util.find_spec("matio") is None:
         return {}
@@ -163,8 +165,8 @@ def objects(path: str) -> dict[str, Any]:
 def _timeseries(properties: dict[str, Any]) -> dict[str, Any]:
     """Return Time and Data of a timeseries.
 
-    Equal steps have a start and an increment in place of times. What Simulink logged while it ran is in a storage
-    of its own, with the time as the last dimension.
+    Equal steps have a start and an increment in place of times. What Simulink logged while it ran is in a
+    storage of its own, with the time as the last dimension.
     """
     info = properties["TimeInfo"].properties
     times = np.ravel(info["Time_"])
@@ -184,8 +186,8 @@ def hdf5_content(path: str, limit: int) -> dict[str, Any]:
         limit: Largest accepted size of all arrays together, bytes.
 
     Returns:
-        Variables by name, as SciPy returns those of older files: arrays of any shape, dictionaries for structures,
-        lists for cells, texts. Tables, timetables and other objects are left out.
+        Variables by name, as SciPy returns those of older files: arrays of any shape, dictionaries for
+        structures, lists for cells, texts. Tables, timetables and other objects are left out.
 
     Raises:
         ValueError: If the arrays are larger than the limit, or structures are nested too deeply.
@@ -237,8 +239,8 @@ def hdf5_content(path: str, limit: int) -> dict[str, Any]:
 def simulink_signals(path: str, limit: int) -> dict[str, Any]:
     """Read the signals of a Simulink data set in a MATLAB file of version 7.3, which a running model wrote.
 
-    Each signal is described by a structure and has its values, and its times unless its steps are equal, in streams of
-    bytes. Signals of other types than numbers are left out.
+    Each signal is described by a structure and has its values, and its times unless its steps are equal, in
+    streams of bytes. Signals of other types than numbers are left out.
 
     Args:
         limit: Largest accepted size of all streams together, bytes.
@@ -304,7 +306,8 @@ def simulink_signals(path: str, limit: int) -> dict[str, Any]:
 def main() -> None:
     """Read a MATLAB or HDF5 file and write its vectors and their names to an .npz file.
 
-    The command line gives the two paths and the limit. If the file cannot be read, the process ends with exit code 2.
+    The command line gives the two paths and the limit. If the file cannot be read, the process ends with exit
+    code 2.
     """
     source, target, limit = sys.argv[1:]
     try:

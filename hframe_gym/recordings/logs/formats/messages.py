@@ -1,7 +1,7 @@
 """Logs of messages by topic: find the numbers in messages of any structure, and read those that are needed.
 
-A number is named by its path, "/joint_states/elbow/position". Where a message has a list of names, such as that of its
-joints, lists of the same length are named by them, else by number: "/imu/data[0]".
+A number is named by its path, "/joint_states/elbow/position". Where a message has a list of names, such as
+that of its joints, lists of the same length are named by them, else by number: "/imu/data[0]".
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ _MOST_NUMBERS = 500  # of a topic
 _DEEPEST = 16  # messages in messages
 _NAME_LISTS = ("name", "names", "joint_names", "interface_names")
 _SECONDS = (("sec", "nanosec"), ("secs", "nsecs"), ("seconds", "nanos"))
-# s; the time in a header differs from that of the recorder by more if it is that of another clock, or of a simulation.
+# s; the time in a header differs from that of the recorder by more if it is that of another clock, or of a
+# simulation.
 _SAME_CLOCK = 1.0
 
 
@@ -44,12 +45,13 @@ class MessageSource(ABC):
         """Read the messages of a topic.
 
         Yields:
-            Time of the recorder, ns since 1970, and message: dictionaries, objects with fields, lists, arrays of any
-            shape, numbers and texts.
+            Time of the recorder, ns since 1970, and message: dictionaries, objects with fields, lists, arrays
+            of any shape, numbers and texts.
 
         Raises:
             UnreadableError: If messages of this kind cannot be read.
-            InputError: If a message is damaged. The text names the file, the topic and the number of the message.
+            InputError: If a message is damaged. The text names the file, the topic and the number of the
+                message.
         """
 
 
@@ -61,8 +63,8 @@ def log_of_messages(path: Path, source: MessageSource, remarks: tuple[str, ...])
     """Open the numbers in the messages of a file as a log.
 
     Returns:
-        Log whose columns have the shape (rows,); the time of a row is that in the header of its message, if it has one
-        of the same clock, else that of the recorder.
+        Log whose columns have the shape (rows,); the time of a row is that in the header of its message, if
+        it has one of the same clock, else that of the recorder.
 
     Raises:
         InputError: If no topic has numbers, or the first messages of a topic are damaged.
@@ -88,7 +90,7 @@ def log_of_messages(path: Path, source: MessageSource, remarks: tuple[str, ...])
 
 
 def numbers_of(message: Any, name: str) -> dict[str, float]:
-    """Find all numbers in a message by name, which begins with `name`; without long lists, texts and the header."""
+    """Find all numbers in a message by name, which begins with `name`; no long lists, texts, header."""
     found: dict[str, float] = {}
     members = _members(message)
     if members is not None:

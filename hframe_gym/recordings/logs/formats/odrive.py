@@ -1,4 +1,4 @@
-"""Tables of the properties of ODrive, which have the names of its interface and the units of its documentation."""
+"""Tables of ODrive's properties, which have the names of its interface and its documentation's units."""
 
 from __future__ import annotations
 
@@ -56,5 +56,5 @@ class ODriveLogs(LogFormat):
 
 
 def _unit(header: str) -> str:
-    """Return the unit of a property, named alone or with its path such as "odrv0.axis0.pos_estimate"; else ""."""
+    """Return a property's unit, named alone or with its path such as "odrv0.axis0.pos_estimate"; else ""."""
     return _UNITS.get(re.split(r"[./\s]", header.strip())[-1].lower(), "")

@@ -46,7 +46,8 @@ class ParquetTable:
         """Open a file and determine its columns.
 
         Args:
-            item_names: Names of the items of lists by column, which are used if their number fits: "state.elbow".
+            item_names: Names of the items of lists by column, which are used if their number fits:
+                "state.elbow".
 
         Raises:
             InputError: If pyarrow is missing, or the file is damaged or too large.
@@ -103,7 +104,7 @@ class ParquetTable:
         return values
 
     def _number_of_items(self, field: Any) -> int:
-        """Return the number of items of a column of lists of numbers; 0 for other columns and for long lists."""
+        """Return the number of items of a column of lists; 0 for other columns and for long lists."""
         from pyarrow import compute, types
 
         kind = field.type
@@ -118,7 +119,7 @@ class ParquetTable:
         return items if items <= MOST_ITEMS else 0
 
     def _items(self, name: str) -> NDArray[np.float64]:
-        """Return the numbers of a column of lists, shape (rows, items); each row must have as many as the first."""
+        """Return the numbers of a column of lists, shape (rows, items), in rows of equal length."""
         from pyarrow import compute
 
         column = read_parquet_column(self.path, self._file, name)

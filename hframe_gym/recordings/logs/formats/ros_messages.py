@@ -31,7 +31,8 @@ class RosDecoder:
 
         Args:
             name: Name of the type, such as "sensor_msgs/msg/JointState".
-            idl: Whether the definition is in IDL, which few recorders write, rather than in the form of .msg files.
+            idl: Whether the definition is in IDL, which few recorders write, rather than in the form of .msg
+                files.
 
         Raises:
             UnreadableError: If the definition is faulty or differs from an earlier one of the same name.
@@ -61,7 +62,7 @@ class RosDecoder:
         self._store.max_sequence_length = _LONGEST_LIST
 
     def decoder(self, name: str, *, ros1: bool) -> Callable[[bytes], Any]:
-        """Return the function from a message's bytes, as in ROS 1 or 2, to its object, or raise UnreadableError."""
+        """Return the function from a message's bytes, as in ROS 1 or 2, to its object; or UnreadableError."""
         if name not in self._store.fielddefs:
             raise UnreadableError("its definition is not in the file")
         decode = self._store.deserialize_ros1 if ros1 else self._store.deserialize_cdr
@@ -74,7 +75,7 @@ def ros2_name(name: str) -> str:
 
 
 def decoded(where: str, number: int, decode: Callable[[bytes], Any], content: bytes) -> Any:
-    """Decode message `number` (from 1) of a file and topic, `where`; an InputError says that it is damaged."""
+    """Decode message `number` (from 1) of a file and topic, `where`; an InputError if it is damaged."""
     try:
         return decode(content)
     except Exception as error:  # decoders raise many types for damaged messages
@@ -82,7 +83,7 @@ def decoded(where: str, number: int, decode: Callable[[bytes], Any], content: by
 
 
 def _refuse_other_names(types: dict[str, Any]) -> None:
-    """Refuse definitions with anything but plain names and values, because rosbags generates code from them."""
+    """Refuse definitions with anything but plain names and values, as rosbags generates code from them."""
     for name, (constants, fields) in types.items():
         parts = [(part, _FIELD) for part, *_ in (*constants, *fields)] + [(name, _TYPE)]
         for part, pattern in parts:

@@ -1,4 +1,4 @@
-"""Bags of ROS 1 (.bag) and ROS 2 (a folder with metadata.yaml, or its .db3 file), read with rosbags (extra `ros`)."""
+"""Bags of ROS 1 (.bag) and ROS 2 (a folder with metadata.yaml, or .db3), read with rosbags (extra `ros`)."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class RosBagLogs(LogFormat):
 
 
 def _is_bag(folder: Path) -> bool:
-    """Return whether a folder has the description of a bag of ROS 2; other data sets have files of this name too."""
+    """Return whether a folder has the description of a bag of ROS 2; other data has such files too."""
     if not (folder / _METADATA).is_file():
         return False
     with open(folder / _METADATA, "rb") as file:

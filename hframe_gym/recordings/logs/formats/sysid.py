@@ -1,4 +1,4 @@
-"""Read the JSON files of SysId, the identification tool of WPILib: up to four tests, which become one run each.
+"""Read the JSON files of SysId, the identification tool of WPILib: up to four tests, each a run.
 
 The file has an object with the entries "sysid" (true), "test" (kind of the mechanism), "units" and
 "unitsPerRotation", and a list of rows for each test. Positions and velocities are in rotations; a rotation is

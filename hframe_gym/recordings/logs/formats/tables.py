@@ -1,4 +1,4 @@
-"""Logs of signals that have their own times each: build a log from tables of columns that share their times."""
+"""Logs of signals with their own times: build a log from tables of columns that share their times."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from ..log import Log, LogColumn
 MOST_ITEMS = 64  # of a list that is read; longer ones are images, scans and the like, not signals
 _UNIT = re.compile(r"\s\[[^\]]*\]$")
 _INDEX = re.compile(r"(?:\[\d+\])+$")
-# Times, float64 in s or datetime64[ns], values of columns, shape (rows,) each, and sentences for the user about what
-# was left out.
+# Times, float64 in s or datetime64[ns], values of columns, shape (rows,) each, and sentences for the user
+# about what was left out.
 Rows: TypeAlias = tuple[NDArray[Any], list[Array], list[str]]
 
 
@@ -41,7 +41,7 @@ class TimedTable:
 
 
 def signal_columns(names: Sequence[str]) -> tuple[LogColumn, ...]:
-    """Build columns of numbers named like paths, with a unit at the end of their last part: "/arm/angle_deg"."""
+    """Build columns of numbers named like paths, with a unit at the last part's end: "/arm/angle_deg"."""
     columns = []
     for name in names:
         stated = _UNIT.search(name)  # a unit in brackets may have a slash as well
@@ -65,7 +65,8 @@ def table_in_memory(names: Sequence[str], name: str, time_s: Array, values: Sequ
 def log_of_tables(path: Path, tables: Sequence[TimedTable], remarks: tuple[str, ...], part: str = "") -> Log:
     """Build a log from several tables, each of which has its own times.
 
-    When columns are read, the rows of each table are sorted by time, and of rows with equal times the last is kept.
+    When columns are read, the rows of each table are sorted by time, and of rows with equal times the last is
+    kept.
 
     Args:
         part: Name of the part of the file; "" if it is one log.
@@ -104,7 +105,7 @@ def log_of_tables(path: Path, tables: Sequence[TimedTable], remarks: tuple[str, 
 
 
 def _ordered(name: str, time: NDArray[Any]) -> tuple[NDArray[np.intp], list[str]]:
-    """Return the rows in the order of their times, the last one of equal times only, and remarks about the others."""
+    """Return the rows in order of time, the last of equal times only, and remarks about the others."""
     remarks = []
     rows = np.argsort(time, kind="stable")
     if np.any(np.diff(rows) < 0):

@@ -15,7 +15,8 @@ from ...tables.text_reader import Progress, read_columns
 from ..log import Log, log_columns, vector_log
 from .base import ANY_TEXT, LOG_FORMATS, LogFormat
 
-# Rows of a run, at least: a table without names that has fewer rows, and this many columns, has a quantity in each row.
+# Rows of a run, at least: a table without names that has fewer rows, and this many columns, has a quantity in
+# each row.
 _LEAST_ROWS = 20
 _DOCUMENTS = ("readme.txt", "license.txt", "licence.txt", "notes.txt", "changelog.txt")
 
@@ -50,7 +51,8 @@ def open_text_table(
     """Open a table in text.
 
     Args:
-        unit_of: Function from the name of a column to its unit, for columns whose unit the file does not state.
+        unit_of: Function from the name of a column to its unit, for columns whose unit the file does not
+            state.
 
     Raises:
         InputError: If the file is empty, is not text, or has no table.
@@ -67,7 +69,7 @@ def open_text_table(
 
 
 def _quantities_in_rows(path: Path, layout: TextFormat) -> list[tuple[str, NDArray[np.float64]]]:
-    """Return the rows of a table without names that has a quantity in each, with their numbers; none of another one."""
+    """Return the rows of a table without names, a quantity in each, with their numbers; none of others."""
     count = len(layout.names)
     named = any(name != f"#{k}" for k, name in enumerate(layout.names, start=1))
     if count < _LEAST_ROWS or named or set(layout.kinds) != {"number"}:

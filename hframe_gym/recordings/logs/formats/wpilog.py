@@ -1,8 +1,8 @@
 """Data logs of WPILib (.wpilog): entries with a name and a type, and records of their values with times.
 
-A file begins with "WPILOG", the version and a text of any content. Each record has the number of its entry, a size and
-a time in microseconds, in as many bytes as its first byte says. Records of entry 0 start an entry, finish it or change
-its description, which may be the unit. All numbers are little-endian.
+A file begins with "WPILOG", the version and a text of any content. Each record has the number of its entry, a
+size and a time in microseconds, in as many bytes as its first byte says. Records of entry 0 start an entry,
+finish it or change its description, which may be the unit. All numbers are little-endian.
 
 The tests of SysId are marked by an entry of texts, such as "sysid-test-state-drive": each becomes a log.
 """
@@ -183,7 +183,7 @@ def _control(
 
 
 def _unit(description: str) -> str:
-    """Return the unit that the description of an entry states, "Meter per Second" or {"unit": "m/s"}; else ""."""
+    """Return the unit that an entry's description states, "Meter per Second" or {"unit": "m/s"}; else ""."""
     stated: Any = description
     if description.startswith("{"):
         try:
@@ -199,7 +199,7 @@ def _unit(description: str) -> str:
 
 
 def _tests(content: bytes, entries: Sequence[_Entry]) -> list[tuple[str, float, float]]:
-    """Return name, begin and end of the tests of SysId, s, each from its first state to the next other one."""
+    """Return name, begin and end of the tests of SysId, s, each from its first state to the next one."""
     tests = []
     marks = [(entry, states) for entry in entries if (states := _states(content, entry))]
     for entry, states in marks:
@@ -322,7 +322,7 @@ def _table(
 def _leaves(
     kind: np.dtype[np.void], prefix: str = "", offset: int = 0
 ) -> list[tuple[str, int, np.dtype[np.generic]]]:
-    """Return end of the name, offset in bytes and type of all numbers in a structure; of a plain number one entry."""
+    """Return name's end, offset in bytes and type of each number in a structure; one of a plain number."""
     if kind.subdtype is not None:
         inner, (count,) = kind.subdtype
         if count > MOST_ITEMS:
@@ -343,7 +343,7 @@ def _leaves(
 
 
 def _gather(content: bytes, entry: _Entry, offset: int, kind: np.dtype[np.generic]) -> Array:
-    """Return the number at an offset in the payload of each record; NaN in a record that is too short for it."""
+    """Return the number at an offset in the payload of each record; NaN in a record too short for it."""
     raw = np.frombuffer(content, np.uint8)
     present = np.array(entry.sizes) >= offset + kind.itemsize
     starts = np.array(entry.starts)[present] + offset
