@@ -70,7 +70,7 @@ class Scripted:
         self.force: dict[str, float] = {}
         self.residue: dict[float, float] = {}  # by chi-squared of the fit
         self.drives = 10.0
-        self.confirmed, self.variance, self.fault, self.difference = 1.0, 1.0, "", 1.0
+        self.confirmed, self.variance, self.fault = 1.0, 1.0, ""
         self.simulated = 100.0  # chi-squared per sample of a simulation without effects
         self.narrower: dict[float, Fit] = {}  # by bandwidth, the fit with the next narrower observer
         self.observer: float | None = (
@@ -87,10 +87,8 @@ class Scripted:
             "drive_force": lambda machine, data: self.drives,
             "residue_force": lambda fitted, data: self.residue.get(fitted.chi2, 0.1),
             "leave_one_out_gain": lambda a, b, data: self.confirmed * (a.cost - b.cost),
-            "refitted_leave_one_out_gain": lambda a, b, data, least: self.confirmed * (a.cost - b.cost),
             "long_run_variance": lambda fitted, label, data: LongRunVariance(self.variance),
             "plausibility_fault": lambda machine: self.fault,
-            "force_difference": lambda a, b, data: self.difference,
             "fit_with_model_error": lambda fitted, data: (
                 fitted if self.observer is None else dataclasses.replace(fitted, bandwidth=self.observer)
             ),
@@ -104,9 +102,7 @@ class Scripted:
             "converge": lambda fitted, data, thorough: fitted,
             "trial_fits": lambda *arguments: self.trials.pop(0) if self.trials else [],
             "structural_trial_fits": lambda *arguments: self.structures.pop(0) if self.structures else [],
-            "unexplained_fraction": lambda current, trials: 1.0,
             "without_effect": lambda current, label, *rest, **more: self.without.get(label),
-            "machine_without": lambda machine, label, plain: machine,
             "screened_fit": lambda current, data, without: None,
             "replacement_fit": self._replaced,
             "fit_with_effects": lambda current, effects, data: self.again.pop(0),

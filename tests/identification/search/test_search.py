@@ -83,7 +83,6 @@ class ScriptedSearch:
             "continue_fit": lambda fitted, data, bandwidth: fit_with(
                 *fitted.machine.effects, chi2=script.with_effects if fitted.machine.effects else script.before
             ),
-            "default_free_parameters": lambda machine: (),
             "polish": lambda fitted, data: fitted,
             "converge": lambda fitted, data, thorough: fitted,
             "fit_with_model_error": lambda fitted, data: dataclasses.replace(
