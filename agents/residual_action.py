@@ -292,30 +292,24 @@ class ResidualAction:
         it is then the action that was just computed.
 
         Returns:
-            last_observation: `observation` of the previous period, m, rad, m/s and rad/s,
-            shape (batch, entries) for a
-                batch of environments.
+            last_observation: `observation` of the previous period, m, rad, m/s and rad/s, shape (batch,
+                entries) for a batch of environments.
             last_action: Voltages divided by the rated voltages, shape (batch, drives).
             base_action: Action of the base controller, which the policy corrects, as a fraction of the rated
-            voltages,
-                shape (batch, drives); only with a base controller.
+                voltages, shape (batch, drives); only with a base controller.
             expected_friction: Voltages that compensate the friction expected in the next periods, as
-            fractions of the
-                rated voltages, shape (batch, 4 * drives); only with an `AdaptiveController` as base, whose
-                attribute documents the columns.
+                fractions of the rated voltages, shape (batch, 4 * drives); only with an `AdaptiveController`
+                as base, whose attribute documents the columns.
             estimates: Estimated deviations of friction, masses and belts from the model, dimensionless (0.1:
-            about 10 %
-                above), shape (batch, parameters); only if the constructor's argument `estimates` is True or
-                the base is adaptive or predictive. Attributes of `ParameterFilter` or of the base document
-                the columns.
-            error_integral: Integral of the position error along each axis while the tool is slow and within
-            1 mm of the
-                goal, m s, shape (batch, axes); it begins at zero when the error changes sign. Only if the
-                constructor's argument `integral` is True.
+                about 10 % above), shape (batch, parameters); only if the constructor's argument `estimates`
+                is True or the base is adaptive or predictive. Attributes of `ParameterFilter` or of the base
+                document the columns.
+            error_integral: Integral of the position error along each axis while the tool is slow and within 1
+                mm of the goal, m s, shape (batch, axes); it begins at zero when the error changes sign. Only
+                if the constructor's argument `integral` is True.
             action_offset, authority, law_actions: The `ActionParts` of this period, the laws joined,
-            dimensionless,
-                shapes (batch, drives), (batch, 1) and (batch, K * drives); only if the constructor's argument
-                `parts` is True.
+                dimensionless, shapes (batch, drives), (batch, 1) and (batch, K * drives); only if the
+                constructor's argument `parts` is True.
         """
         added: dict[str, NDArray[Any]] = {
             "last_observation": self._last_observation,

@@ -117,8 +117,7 @@ def order(errors: dict[float, float]) -> float:
     return float(np.polyfit(np.log(list(errors)), np.log(list(errors.values())), 1)[0])
 
 
-# -- energy
-# ------------------------------------------------------------------------------------------------------------
+# -- energy --------------------------------------------------------------------------------------------------
 
 
 def stored_energy(machine: Machine, out: Array) -> Array:
@@ -204,8 +203,7 @@ def energy_balance(machine: Machine, inputs: Array, step: float) -> Array:
     return (work - lost - stored) / scale
 
 
-# -- sticking
-# ----------------------------------------------------------------------------------------------------------
+# -- sticking ------------------------------------------------------------------------------------------------
 
 # 0.3 s of motion, 1 s to come to rest on stretched belts under a small voltage, then 10 s at that voltage.
 HOLD_VOLTAGE = (0.2, -0.15)  # V: 0.038 Nm and 0.029 Nm, below the pulleys' 0.05 Nm
@@ -228,8 +226,7 @@ def kernel_creep(machine: Machine, step: float) -> float:
     return creep(rollout(machine, np.arange(len(inputs)) * HOLD, inputs, longest_step=step)[0])
 
 
-# -- the report
-# --------------------------------------------------------------------------------------------------------
+# -- the report ----------------------------------------------------------------------------------------------
 
 
 def micro(value: float) -> str:

@@ -10,8 +10,7 @@ compiles the kernels.
 
 Measures:
     kernel: integrator steps per second of a batch of 4096 stages on all cores (`KernelBatch` of that
-    checkout's
-        benchmarks; needs the extra `bench`, because older checkouts import MuJoCo beside it).
+        checkout's benchmarks; needs the extra `bench`, because older checkouts import MuJoCo beside it).
     recording: simulations per second of one recording of 2 s at 1 kHz by `Machine.simulate`.
     vector: environment steps per second of 4096 environments by `gym.make_vec`, default randomization.
     rig: the same with the sensors and drives of the rig.

@@ -232,8 +232,7 @@ def one_recording(machine: Machine) -> dict[str, float]:
     return {"median_ms": statistics.median(spent[10:]), "best_ms": min(spent)}
 
 
-# -- roofline
-# ----------------------------------------------------------------------------------------------------------
+# -- roofline ------------------------------------------------------------------------------------------------
 
 
 class Counted:

@@ -60,8 +60,7 @@ def requirements_by_extra(project: Mapping[str, Any]) -> tuple[dict[str, list[Re
 
     Returns:
         requirements: Requirements by extra, those without an extra under "core". An extra that includes other
-        extras of
-            the package itself, as `dev` does, does not repeat their requirements.
+            extras of the package itself, as `dev` does, does not repeat their requirements.
         installed: The extras that an installation with the extra `dev` includes, with "core" and "dev".
     """
     lines = {"core": project["dependencies"], **project["optional-dependencies"]}

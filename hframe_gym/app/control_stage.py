@@ -33,9 +33,8 @@ class ControlStage(Stage):
 
     key, title, action = "control", "Control", "Compare"
     purpose = (
-        "All controllers get the same starts, goals and machine parameters. "
-        "With the randomization identified, "
-        "the parameters vary as far as the identification leaves them open."
+        "All controllers get the same starts, goals and machine parameters. With the randomization "
+        "identified, the parameters vary as far as the identification leaves them open."
     )
 
     def __init__(self, page: Any) -> None:

@@ -108,9 +108,8 @@ def check_sampling(recording: Recording, stamp_jitter: float = 0.0) -> list[Find
         count = int(gaps.sum())
         number = f"{count} gaps" if count > 1 else "1 gap"
         message = (
-            f"{number} ({duration} in total, {100 * lost / np.sum(steps):.2g} %): samples were "
-            "dropped or taken late; "
-            "identification estimates the inputs in gaps of up to 20 rows from the motion"
+            f"{number} ({duration} in total, {100 * lost / np.sum(steps):.2g} %): samples were dropped or "
+            "taken late; identification estimates the inputs in gaps of up to 20 rows from the motion"
         )
         findings.append(Finding("advice", recording.name, "time_s", message))
     if np.sum(steps) > _LONG_RUN:

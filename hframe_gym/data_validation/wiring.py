@@ -51,11 +51,9 @@ def rigid_prediction(outputs: Array, channel: int, machine: Machine) -> tuple[Ar
 
     Returns:
         prediction: Predicted measurements, m or rad, shape (n,), correct except for an unknown constant; NaN
-        where a
-            sensor that is used has no measurement.
+            where a sensor that is used has no measurement.
         weights: Weight of each sensor in the prediction, in the unit of the predicted sensor per unit of the
-        weighted
-            one, shape (sensors,); 0 for sensors that are not used.
+            weighted one, shape (sensors,); 0 for sensors that are not used.
 
         None instead of both if the other sensors do not determine this one.
     """

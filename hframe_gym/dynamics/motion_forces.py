@@ -69,8 +69,7 @@ def net_forces(
         positions: Positions, m or rad, shape (N, coordinates).
         velocities: Velocities, m/s or rad/s, shape (N, coordinates).
         values: Parameter values by full name ("x.mass"), SI, that replace the machine's. An array of shape
-            (variants,
-            1) gives one value for each of several variants of the machine; otherwise a float.
+            (variants, 1) gives one value for each of several variants of the machine; otherwise a float.
 
     Returns:
         Net forces, N or Nm, shape (N, coordinates), or (variants, N, coordinates) if a value is an array.

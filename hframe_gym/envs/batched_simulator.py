@@ -228,8 +228,7 @@ class BatchedSimulator:
             delay_line.record(self._undelayed, begin + step + 1, first, last)
         delay_line.read(self._steps_done, first, last, self.readings)
 
-    # -- reading
-    # ---------------------------------------------------------------------------------------------------
+    # -- reading ---------------------------------------------------------------------------------------------
 
     def tool_positions(self, first: int = 0, last: int | None = None) -> Array:
         """Compute the true tool positions in blocks `first` to `last` - 1 (None: all), m, shape (k, axes)."""

@@ -142,8 +142,7 @@ class EnvironmentBatch:
         content = [self.count, options, self.task.name, machine_to_dict(self.machine)]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
-    # -- reset
-    # -----------------------------------------------------------------------------------------------------
+    # -- reset -----------------------------------------------------------------------------------------------
 
     def reset(
         self,
@@ -187,8 +186,7 @@ class EnvironmentBatch:
         columns = zip(self.sampler.names, self.sampler.columns, strict=True)
         return {name: self.values[index, column] for name, column in columns}
 
-    # -- step
-    # ------------------------------------------------------------------------------------------------------
+    # -- step ------------------------------------------------------------------------------------------------
 
     def check_actions(self, actions: Any, *, single: bool = False) -> NDArray[Any]:
         """Check that `reset` was called, and check and convert actions, shape (count, drives).

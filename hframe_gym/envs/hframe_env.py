@@ -242,8 +242,7 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
             info["parameters"] = self._parameters.copy()
         return info
 
-    # -- rendering
-    # -------------------------------------------------------------------------------------------------
+    # -- rendering -------------------------------------------------------------------------------------------
 
     def _update_picture(self) -> None:
         """Extend the trail of the picture, and update the window in mode "human"."""

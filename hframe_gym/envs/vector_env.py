@@ -229,8 +229,7 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         self.batch.restart(index, observation, result)
         self._collect_parameters()
 
-    # -- info: each key with its mask "_key"
-    # -----------------------------------------------------------------------
+    # -- info: each key with its mask "_key" -----------------------------------------------------------------
 
     def _describe(
         self, info: dict[str, Any], mask: Flags | None, distance: Array, contour: Array | None

@@ -62,9 +62,8 @@ class DatasetExporter(Exporter):
                 form["reference"] = self.reference
                 written = export_dataset(name, scenario, out, **form)
                 log(
-                    f"wrote {written.dataset_id}: {written.episodes} episodes, {written.steps} "
-                    "steps, mean return "
-                    f"{written.mean_return:.2f}, {written.success_rate:.1%} of the episodes end "
+                    f"wrote {written.dataset_id}: {written.episodes} episodes, {written.steps} steps, mean "
+                    f"return {written.mean_return:.2f}, {written.success_rate:.1%} of the episodes end "
                     "within the task's band"
                 )
         except ValueError as error:

@@ -68,14 +68,12 @@ class GainsExporter(MachineExporter):
             warnings.warn(concern, stacklevel=2)
         rows = [*_textbook_rows(textbook), *self._feedback_rows(feedback)]
         laws = {
-            "textbook-pid": "force along an axis = P e + I integral(e) - D v; e: goal minus "
-            "position, v: measured velocity "
-            "(for a moving goal: minus the goal's velocity); voltages = (V/N of each drive and "
-            "axis) times the forces; "
-            "the integrators hold while a voltage exceeds its limit",
-            "pid": "voltage = sum of gain times (goal - state) over positions and velocities of "
-            "all coordinates, plus the "
-            "feedforward of friction (hframe export c); goal: the position at rest with unstretched belts",
+            "textbook-pid": "force along an axis = P e + I integral(e) - D v; e: goal minus position, v: "
+            "measured velocity (for a moving goal: minus the goal's velocity); voltages = (V/N of each drive "
+            "and axis) times the forces; the integrators hold while a voltage exceeds its limit",
+            "pid": "voltage = sum of gain times (goal - state) over positions and velocities of all "
+            "coordinates, plus the feedforward of friction (hframe export c); goal: the position at rest with "
+            "unstretched belts",
         }
         header = self.header(
             machine,

@@ -41,9 +41,8 @@ class StateSpaceExporter(MachineExporter):
             f"{n} = {q!r}" for n, q in zip(machine.coordinate_names, position.tolist(), strict=True)
         )
         units = (
-            "Units: SI; positions m or rad, velocities m/s or rad/s, inputs V; deviations from "
-            "rest at the operating "
-            f"point {point}",
+            "Units: SI; positions m or rad, velocities m/s or rad/s, inputs V; deviations from rest at the "
+            f"operating point {point}",
             "Coulomb friction is not part of the model. Back-EMF is.",
             "Effects left out because they have no linear model at rest: "
             f"{', '.join(model.left_out) or 'none'}",

@@ -90,8 +90,7 @@ def noisy_inputs(recording: Recording, machine: Machine) -> list[int]:
 
     Returns:
         Indices of the inputs whose noise is above 5 % of their root mean square, and is not a controller's
-        answer to
-            the measurements.
+        answer to the measurements.
     """
     found = []
     for j, (channel, values) in enumerate(zip(machine.input_channels, recording.inputs.T, strict=True)):

@@ -394,10 +394,9 @@ def initial_velocity(
     Returns:
         mean: Velocities of the coordinates, m/s or rad/s, shape (coordinates,).
         deviations: D, shape (errors, coordinates); the covariance D^T D is that of the slopes (noise,
-        vibration of the
-            belts) plus the square of 20 % of the speed, or of the difference to the farthest candidate that
-            is possible if this is larger. Zeros and no errors if only rest is possible, or no velocity is
-            significant.
+            vibration of the belts) plus the square of 20 % of the speed, or of the difference to the farthest
+            candidate that is possible if this is larger. Zeros and no errors if only rest is possible, or no
+            velocity is significant.
     """
     at_rest = InitialVelocity.at_rest(machine)
     if len(recording.time_s) <= _MIN_FITTED_ROWS:

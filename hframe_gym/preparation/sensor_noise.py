@@ -66,9 +66,8 @@ def sensor_noise(
 
     The first of these sources that is available is used: about 30 measurements at rest, the declared value,
     third differences of the measurements. For a sensor with a quantum, deviations from a smooth curve
-    (Savitzky and Golay
-    1964) replace the third differences if they are smaller. The result is at least the rounding error,
-    quantum / sqrt(12).
+    (Savitzky and Golay 1964) replace the third differences if they are smaller. The result is at least the
+    rounding error, quantum / sqrt(12).
 
     Args:
         channel: Measurements of the sensor by run, m or rad, each of shape (n,), NaN where not measured.

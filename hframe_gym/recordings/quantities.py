@@ -283,10 +283,9 @@ def split_unit(header: str) -> tuple[str, str]:
     Returns:
         name: Name without the unit.
         unit: Unit in its usual spelling, such as "mm" or "rpm"; "" if the header has none. Any text in
-        brackets is a
-            unit. Without brackets, only known units are recognized, and those of one letter, such as "A",
-            only if the name agrees: "current_A" and "i1_A" have a unit, "phase_A" has none. The word rpm is a
-            unit wherever it is, and "ms", "millis" or "micros" alone are a time.
+            brackets is a unit. Without brackets, only known units are recognized, and those of one letter,
+            such as "A", only if the name agrees: "current_A" and "i1_A" have a unit, "phase_A" has none. The
+            word rpm is a unit wherever it is, and "ms", "millis" or "micros" alone are a time.
     """
     plain = header.strip()
     if len(plain) > _LONGEST_HEADER:

@@ -181,8 +181,7 @@ def test_a_machine_without_one_drive_per_axis_is_refused(hframe: Machine) -> Non
         motion_formulas(machine, 0.01)
 
 
-# -- Structured Text
-# -----------------------------------------------------------------------------------------------
+# -- Structured Text -----------------------------------------------------------------------------------------
 
 
 def interpreter(text: str) -> dict[str, Callable[..., Any]]:

@@ -6,8 +6,7 @@ estimate every belt separately. Undeclared forces can be estimated as *missing v
 drives that the simulation lacks.
 
 ParameterEstimator Base class: the estimated parameters, and the simulations that give the derivatives of a
-period's
-                   final state with respect to the estimates.
+                   period's final state with respect to the estimates.
 ParameterFilter    Extended Kalman filter: each period is linearized once, at the estimates of its time. Its
                    errors stay at a few percent even where states are measured exactly, because an early
                    period is never revised.

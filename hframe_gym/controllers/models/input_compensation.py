@@ -72,11 +72,10 @@ class DeadTime:
 
         Returns:
             times: k times since the start of the period, s, shape (k,): [0, `remainder_s`, `period`] if the
-            voltages
-                changed within the period, [0, `period`] if the dead time is a multiple of the period.
-            volts: Voltages of B simulated machines from each of these times until the next, V,
-            shape (B, k, drives);
-                the last entry repeats the one before it.
+                voltages changed within the period, [0, `period`] if the dead time is a multiple of the
+                period.
+            volts: Voltages of B simulated machines from each of these times until the next, V, shape (B, k,
+                drives); the last entry repeats the one before it.
         """
         # With a delay of k complete periods and a remainder, a period begins with the voltages sent k + 1
         # periods before it; after the remainder, those sent k periods before it arrive.
@@ -117,9 +116,8 @@ class DeadTime:
 
         Returns:
             times: k times from now, s, shape (k,), from 0 to `delay_s`.
-            volts: Voltages of B simulated machines from each of these times until the next, V,
-            shape (B, k, drives);
-                the last entry repeats the one before it.
+            volts: Voltages of B simulated machines from each of these times until the next, V, shape (B, k,
+                drives); the last entry repeats the one before it.
         """
         # At first, for the remainder of the delay, the motors still receive the voltages of one period
         # earlier.

@@ -143,8 +143,7 @@ def reachability(A: Array, B: Array, longest: int) -> Iterator[tuple[Array, Arra
 
     Yields:
         pulse: Response A^(N-1) B of the state after N periods to the voltages of the first one, with scaled
-        states
-            (belt travel / 1 m, velocity / 100 m/s), shape (points, 2 n, drives).
+            states (belt travel / 1 m, velocity / 100 m/s), shape (points, 2 n, drives).
         gramian: Reachability Gramian W_N, the sum of A^j B B' A'^j for j < N, shape (points, 2 n, 2 n).
         power: Response A^N of the state after N periods to the initial state, shape (points, 2 n, 2 n).
     """

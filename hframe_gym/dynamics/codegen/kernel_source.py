@@ -105,8 +105,7 @@ class KernelSource:
         rows = self.layout.parameters.items()
         return Equations(self.machine, {name: trace.load("parameters", row, f"p{row}") for name, row in rows})
 
-    # -- constants of a step
-    # ---------------------------------------------------------------------------------------
+    # -- constants of a step ---------------------------------------------------------------------------------
 
     def trace_constants(self, trace: Trace) -> Trace:
         """Trace the constants that depend on parameters and the step length only; return the trace."""
@@ -143,8 +142,7 @@ class KernelSource:
             if not belt.length:
                 yield row_name("belt", b, "stiffness"), equations.constant_stiffness(b)
 
-    # -- sensors and delays
-    # ----------------------------------------------------------------------------------------
+    # -- sensors and delays ----------------------------------------------------------------------------------
 
     def trace_delays(self, trace: Trace, function: str) -> Trace:
         """Trace voltage_delays (each drive's delay, s) or measurement_delays (each sensor's, s)."""

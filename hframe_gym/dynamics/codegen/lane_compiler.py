@@ -122,8 +122,7 @@ class _Function:
         self._block(node.body, _Scope(dict(zip(names, self._function.args, strict=True)), {}))
         self._builder.ret_void()
 
-    # -- statements
-    # ----------------------------------------------------------------------------------------------------
+    # -- statements ------------------------------------------------------------------------------------------
 
     def _block(self, statements: Sequence[ast.stmt], scope: _Scope) -> Value:
         """Emit statements; return the value of a `return` at their end."""
@@ -206,8 +205,7 @@ class _Function:
         kind = ir.FunctionType(ir.VoidType(), [slot.type])
         self._builder.asm(kind, "", "r,~{memory}", [slot], side_effect=True)
 
-    # -- values
-    # --------------------------------------------------------------------------------------------------------
+    # -- values ----------------------------------------------------------------------------------------------
 
     def _value(self, node: ast.expr, scope: _Scope) -> Value:
         match node:

@@ -187,8 +187,7 @@ class ReverseTrace(Trace):
             for key in missing:
                 del dropped[key]
 
-    # -- derivatives
-    # -----------------------------------------------------------------------------------------------
+    # -- derivatives -----------------------------------------------------------------------------------------
 
     def adjoints(
         self, seeds: Mapping[Expression, Expression], arguments: Iterable[Expression]

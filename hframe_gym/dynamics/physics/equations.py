@@ -69,8 +69,7 @@ class Equations(SignalEquations):
             other parameters keep the machine's values.
     """
 
-    # -- drives
-    # ----------------------------------------------------------------------------------------------------
+    # -- drives ----------------------------------------------------------------------------------------------
 
     def add_drive_forces(self, forces: Sequence[Value], motor_voltages: Sequence[Value]) -> list[Value]:
         """Add the force of each drive at standstill to the force on the one coordinate that it moves, N.
@@ -189,8 +188,7 @@ class Equations(SignalEquations):
         ohmic = self.ohmic_current(j, point, motor_voltages[j])
         return self._changed_current(j, point, motor_voltages, ohmic, {})
 
-    # -- forces
-    # ----------------------------------------------------------------------------------------------------
+    # -- forces ----------------------------------------------------------------------------------------------
 
     def force_balance(
         self, point: MotionPoint, motor_voltages: Sequence[Value], forces: Sequence[Value]
@@ -372,8 +370,7 @@ class Equations(SignalEquations):
         """Return each coordinate's acceleration along its belt travel, m/s^2: net force divided by mass."""
         return [force / self.mass(i) for i, force in enumerate(self.net_forces(point, voltages, direction))]
 
-    # -- arrays
-    # ----------------------------------------------------------------------------------------------------
+    # -- arrays ----------------------------------------------------------------------------------------------
 
     def point(
         self,

@@ -70,8 +70,7 @@ class ParameterizedMachine:
             k for k, instance in enumerate(self.instances) if instance.effect.definition.next_state
         ]
 
-    # -- parameters
-    # ------------------------------------------------------------------------------------------------
+    # -- parameters ------------------------------------------------------------------------------------------
 
     def parameter(self, name: str) -> Value:
         """Return a machine parameter's value, SI, in this object, by its full name ("x.mass").
@@ -142,8 +141,7 @@ class ParameterizedMachine:
         """
         return self.drives[j].gain / self.radius(self.drive_coordinates[j])
 
-    # -- effects
-    # ---------------------------------------------------------------------------------------------------
+    # -- effects ---------------------------------------------------------------------------------------------
 
     def effects_at(self, hook: str, component: str) -> Iterator[tuple[int, AppliedEffect]]:
         """Yield the effects on a component that change a certain quantity, in the order in which they act.

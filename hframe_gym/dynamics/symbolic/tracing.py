@@ -52,8 +52,7 @@ class Trace:
         self.statements: list[Statement] = []
         self._block = self.statements
 
-    # -- values
-    # ----------------------------------------------------------------------------------------------------
+    # -- values ----------------------------------------------------------------------------------------------
 
     def node(self, operation: str, *operands: Any) -> Expression:
         """Return the expression of an operation, such as a + b or sin(a); equal ones give the same object.
@@ -121,8 +120,7 @@ class Trace:
         self._taken[name] += 1
         return name if self._taken[name] == 1 else f"{name}_again_{self._taken[name]}"
 
-    # -- statements
-    # ------------------------------------------------------------------------------------------------
+    # -- statements ------------------------------------------------------------------------------------------
 
     def variable(self, role: str, index: int | None, value: Expression) -> Expression:
         """Append a statement that creates a variable, named role_index, with a value, for `assign`."""

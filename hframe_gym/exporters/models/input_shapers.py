@@ -127,10 +127,9 @@ class InputShaperExporter(MachineExporter):
         if not axes or np.isnan(values).any():
             rigid = [a for a, row in zip(axes, values, strict=True) if np.isnan(row).any()]
             raise InputError(
-                f"machine {machine.name!r}: along {' and '.join(rigid) or 'no axis'} the carriage "
-                "has no vibration against "
-                "held motors (no belt or other spring between them, or overdamped), "
-                "so there is nothing to shape"
+                f"machine {machine.name!r}: along {' and '.join(rigid) or 'no axis'} the carriage has no "
+                "vibration against held motors (no belt or other spring between them, or overdamped), so "
+                "there is nothing to shape"
             )
         stds = standard_deviations(machine, quantities)
         letters = [a.upper() if a in ("x", "y") else "XY"[i] for i, a in enumerate(axes)]

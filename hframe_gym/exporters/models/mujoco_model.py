@@ -187,8 +187,7 @@ def carrier_and_riders(axes: list[Coordinate]) -> tuple[Coordinate, list[Coordin
         carrier: The heavier axis.
         riders: The other axis, or none.
         carried: Mass of the body on the carrier, kg: the lighter mass, but at most half of the heavier one,
-        so that a
-            carrier of the same mass is left with a mass.
+            so that a carrier of the same mass is left with a mass.
     """
     carrier, *riders = sorted(axes, key=lambda c: -c.mass)
     return carrier, riders, min(riders[0].mass, _LARGEST_FRACTION * carrier.mass) if riders else 0.0

@@ -309,8 +309,7 @@ def projected(
     Returns:
         residuals: Projected residuals, without those of the displaced states, shape (batch, rows).
         projection: Projection for further residuals, shape (batch, rows). None if nothing is uncertain or a
-        prediction
-            diverges.
+            prediction diverges.
     """
     batch, displaced = np.split(residuals_of_predictions, [len(residuals_of_predictions) - len(differences)])
     projection = InitialStateProjection.from_displaced(batch[0], displaced, differences)

@@ -223,8 +223,7 @@ class CauseComparison:
             reduction: Reduction of the sum of squares in pieces of the runs to which the cause was not
             fitted. certain: The reduction minus its standard error, from the differences between the pieces.
             fraction: What the cause explains, fitted to all pieces, over what noise does not; without what it
-            explains
-                of the noise.
+                explains of the noise.
         """
         designs = self._designs(cause)
         squares, products = [], []

@@ -116,9 +116,8 @@ def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
             )
         elif _is_known(parameter.name):
             described[parameter.name] = (
-                f"{parameter.name} ends at the limit of the fit, {ratio} times its declared "
-                "value: check the machine file (mass, Kt, resistance, gear ratio) "
-                "and the units of the recordings"
+                f"{parameter.name} ends at the limit of the fit, {ratio} times its declared value: check the "
+                "machine file (mass, Kt, resistance, gear ratio) and the units of the recordings"
             )
         else:
             described[parameter.name] = (

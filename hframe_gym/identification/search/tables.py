@@ -230,8 +230,7 @@ def add_tables(
     Returns:
         fit: Fit of the machine with the tables.
         selected: All selected effects, the tables last, with their fitted parameters. Without a suitable
-        table, the
-            results are `current` and `selected` themselves.
+            table, the results are `current` and `selected` themselves.
     """
     for _ in range(max_tables):
         scales = typical_scales(current, data)

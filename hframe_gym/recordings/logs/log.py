@@ -102,8 +102,8 @@ class Log:
 
         Returns:
             values: One array per column, in the unit of the file, shape (rows,): float64, NaN where a cell is
-            empty, or
-                datetime64[ns] for time stamps. Columns of a MATLAB file may differ in their numbers of rows.
+                empty, or datetime64[ns] for time stamps. Columns of a MATLAB file may differ in their numbers
+                of rows.
             remarks: Sentences for the user about rows that were left out.
 
         Raises:

@@ -49,8 +49,7 @@ def continued_counter(times: Array) -> tuple[Array, str]:
 
     Returns:
         times: Times in the unit of the log, shape (n,), that go on across each start; those given if they do
-        not go
-            back, or go back otherwise.
+            not go back, or go back otherwise.
         remark: What was done, for the user; "" for nothing.
     """
     for modulus, words in _COUNTERS.items():

@@ -77,9 +77,8 @@ class LogConverter:
 
         Returns:
             recordings: One recording with the name of the run, or NAME_01, NAME_02, ... if the clock
-            restarts: times,
-                s, shape (n,), commands, shape (n, drives), and measurements, shape (n, sensors). It begins
-                where all commands have a value.
+                restarts: times, s, shape (n,), commands, shape (n, drives), and measurements, shape (n,
+                sensors). It begins where all commands have a value.
             remarks: Sentences for the user about rows that were left out, held or merged.
 
         Raises:

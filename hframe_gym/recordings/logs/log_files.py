@@ -42,9 +42,8 @@ def find_logs(path: str | Path) -> tuple[list[Path], list[Path]]:
 
     Returns:
         logs: Files of the folder, in alphabetical order, with the endings of the registered formats (.csv,
-        .txt, .mat,
-            ...), except documents such as readme.txt, and folders in it that are one log, such as bags of ROS
-            2; or the one log.
+            .txt, .mat, ...), except documents such as readme.txt, and folders in it that are one log, such as
+            bags of ROS 2; or the one log.
         other_files: The remaining files of the folder, except hidden ones.
 
     Raises:

@@ -36,8 +36,7 @@ def split_at_rests(
 
     Returns:
         runs: One recording per motion (measurements of shape (n, sensors)), named NAME_01, NAME_02, ...;
-        their times
-            are unchanged, so they need not begin at 0.
+            their times are unchanged, so they need not begin at 0.
         remarks: Sentences for the user about what was left out.
 
     Raises:

@@ -74,8 +74,7 @@ def read_columns(
 
     Returns:
         values: One array per column, in the unit of the file, shape (rows,): float64, NaN where a cell is
-        empty, or
-            datetime64[ns] for a column of time stamps (NaT where empty; times of day have the date
+            empty, or datetime64[ns] for a column of time stamps (NaT where empty; times of day have the date
             1970-01-01).
         remarks: Sentences for the user about lines and an incomplete last row that were left out.
 

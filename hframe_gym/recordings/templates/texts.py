@@ -146,9 +146,8 @@ DRIVE_COMMENTS = {  # by kind
     ),
     "speed": (
         "A drive that follows a commanded speed; channel is its column in the recordings. Torque of the "
-        "motor shaft: speed_gain * (command - speed + integral_rate * its integral), at most "
-        "torque_limit. rated_speed: largest command of the environment. `hframe identify` estimates the "
-        "gains."
+        "motor shaft: speed_gain * (command - speed + integral_rate * its integral), at most torque_limit. "
+        "rated_speed: largest command of the environment. `hframe identify` estimates the gains."
     ),
 }
 _SENSOR_COMMENTS = {  # by kind

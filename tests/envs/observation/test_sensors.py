@@ -25,8 +25,7 @@ def run(sensors, steps=25, action=(0.4, -0.1), task=OFF_CENTER, **options):
     return env, {key: np.array([row[key] for row in rows], np.float64) for key in rows[0]}
 
 
-# -- the preset "rig"
-# --------------------------------------------------------------------------------------------------
+# -- the preset "rig" ----------------------------------------------------------------------------------------
 
 
 def test_encoders_count():
@@ -116,8 +115,7 @@ def test_privileged_holds_the_randomized_parameters():
     assert len(parameters) > 20
 
 
-# -- effects at sensors
-# ------------------------------------------------------------------------------------------------
+# -- effects at sensors --------------------------------------------------------------------------------------
 
 
 def machine_with(*effects):
@@ -188,8 +186,7 @@ def test_a_delay_line_does_not_mix_episodes_or_environments():
         np.testing.assert_array_equal(many["observation"][3], one["observation"])
 
 
-# -- the machine's declaration
-# -----------------------------------------------------------------------------------------
+# -- the machine's declaration -------------------------------------------------------------------------------
 
 
 def test_declared_sensors_are_observed_in_the_order_of_the_state():

@@ -162,8 +162,7 @@ def test_identified_parameters_do_not_depend_on_the_batch():
             assert info["parameters"][name][b] == value
 
 
-# -- devices and tasks: what is randomized is what acts
-# ----------------------------------------------------------------
+# -- devices and tasks: what is randomized is what acts ------------------------------------------------------
 
 
 def measurements(steps=12, action=(0.4, -0.1), **options):

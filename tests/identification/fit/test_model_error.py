@@ -56,8 +56,7 @@ def test_colored_noise_has_a_large_long_run_variance(axis: Machine) -> None:
     assert values[1] > 2.0 * values[0]
 
 
-# -- decisions with scripted fits
-# --------------------------------------------------------------------------------------
+# -- decisions with scripted fits ----------------------------------------------------------------------------
 
 
 def test_a_narrow_observer_needs_short_steps() -> None:

@@ -30,8 +30,7 @@ from tests.identification.scripted_fits import (
 DAHL = EFFECTS["dahl_hysteresis"].at("x", F=0.3, L=1e-3)
 
 
-# -- selection
-# ---------------------------------------------------------------------------------------------------------
+# -- selection -----------------------------------------------------------------------------------------------
 
 
 def test_effects_are_added_until_only_noise_is_left(scripted: Scripted) -> None:
