@@ -23,11 +23,7 @@ from hframe_gym.machine import Machine
 
 SECONDS, SAMPLE, HOLD = 1.0, 1e-3, 0.05  # s
 RUNS, SEED = 8, 0
-SETTINGS = (
-    ("Euler", 5e-4),
-    ("RK4", 5e-4),
-    ("RK4", 5e-5),
-)
+SETTINGS = (("Euler", 5e-4), ("RK4", 5e-4), ("RK4", 5e-5))
 
 
 def voltages(machine: Machine, run: int) -> tuple[Array, Array]:

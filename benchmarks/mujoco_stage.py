@@ -69,14 +69,7 @@ class MujocoStage:
         shape = (*controls.shape[:2], self.size)
         if self._states.shape != shape:
             self._states = np.zeros(shape)
-        self._pool.rollout(
-            self.model,
-            self._data,
-            start,
-            controls,
-            nstep=shape[1],
-            state=self._states,
-        )
+        self._pool.rollout(self.model, self._data, start, controls, nstep=shape[1], state=self._states)
         return self._states
 
     def positions(self, inputs: Array, steps: int) -> Array:

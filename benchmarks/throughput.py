@@ -49,12 +49,7 @@ from hframe_gym.machine import BUILTIN_MACHINES, Machine
 
 STAGES = 4096
 # Formulas of a step without a stop.
-FRICTION = (
-    "direction",
-    "static_friction",
-    "friction_force",
-    "update_speed",
-)
+FRICTION = ("direction", "static_friction", "friction_force", "update_speed")
 BAR, AIM = 300.0, 800.0  # ratio of the kernel's rate to MuJoCo's: required and desired
 # MuJoCo's fastest integrator and solver on this stage with its driest friction; `fastest_choice` measures
 # them all.

@@ -33,9 +33,7 @@ TRUE_RIG = Rig(
 )
 RIGS = {
     "rig_a": dataclasses.replace(
-        TRUE_RIG,
-        stribeck_force=(3.0, 0.0, 0.0, 0.0),
-        stribeck_velocity=(0.04, 0.05, 2.5, 2.5),
+        TRUE_RIG, stribeck_force=(3.0, 0.0, 0.0, 0.0), stribeck_velocity=(0.04, 0.05, 2.5, 2.5)
     ),
     "rig_b": TRUE_RIG,
 }

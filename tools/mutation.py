@@ -71,7 +71,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
 EQUIVALENT: dict[str, str] = {
     "hframe_gym/dynamics/physics/belts.py: "
     "first = values[i] if factor == 1.0 else -values[i] if factor == -1.0 else factor * values[i] "
-    "-> -1.0 -> 1.0": "-1.0 * v is -v to the bit; only the instruction differs",
+    "-> -1.0 -> 1.0": "-1.0 * v is -v to the bit; only the instruction differs"
 }
 
 _OPERATORS: dict[type[ast.operator], type[ast.operator]] = {

@@ -48,12 +48,7 @@ HOLD_S = 1.2  # s for which the last picture of an episode stays
 WIDTH = 880  # pixels of the animation
 SCALE = 2  # pictures are composed at this multiple of the final size and reduced, which smooths all lines
 # Part of the renderer's picture that holds the stage: left, top, right, bottom, pixels.
-STAGE = (
-    60,
-    54,
-    820,
-    646,
-)
+STAGE = (60, 54, 820, 646)
 HEADER, STAGE_HEIGHT, CURVE_HEIGHT = 58, 330, 150  # pixels of the three parts, from the top
 ERROR_MM = (0.01, 500.0)  # mm, ends of the logarithmic axis of the distance
 QUALITY = 80  # of the WebP pictures, 0 to 100

@@ -148,10 +148,7 @@ def sha256_of(entry: type[GapEntry]) -> str:
 
 
 def from_measurements(
-    controller: Controller,
-    machine: Machine,
-    covariance: Array | None = None,
-    drifting_encoders: bool = False,
+    controller: Controller, machine: Machine, covariance: Array | None = None, drifting_encoders: bool = False
 ) -> Controller:
     """Combine a controller that needs the full state with a state estimator.
 

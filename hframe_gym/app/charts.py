@@ -24,11 +24,7 @@ def height_of(count: int) -> int:
 
 
 def curves_chart(
-    curves: Sequence[Curve],
-    *,
-    dark: bool,
-    x_name: str = "time, s",
-    intervals: Sequence[Interval] = (),
+    curves: Sequence[Curve], *, dark: bool, x_name: str = "time, s", intervals: Sequence[Interval] = ()
 ) -> dict[str, Any]:
     """Return options of ECharts for one or more curves, one below another, with marked intervals."""
     first, last = min(float(c.time[0]) for c in curves), max(float(c.time[-1]) for c in curves)

@@ -22,12 +22,7 @@ from ..parallel import map_tasks
 from .application import CommandWithChoices, app
 from .identify_steps import check_recordings_before_fit, proposed_formulas, require_several_runs, rig_folders
 from .messages import INTERNAL_ERROR, describe_failure
-from .options import (
-    MachineOption,
-    MaxRowsOption,
-    OutOption,
-    RayOption,
-)
+from .options import MachineOption, MaxRowsOption, OutOption, RayOption
 from .output import closed_output_tolerated, console, log, plain_text
 from .progress import finishing_on_interrupt, progress_bar, search_progress
 
@@ -120,11 +115,7 @@ def identify(
 
 
 def _identify_rig(
-    check_and_identify: _Identification,
-    runs_dir: Path,
-    recordings: list[Recording],
-    out: Path,
-    began: float,
+    check_and_identify: _Identification, runs_dir: Path, recordings: list[Recording], out: Path, began: float
 ) -> tuple[IdentificationResult, Exception | None]:
     """Identify one rig, write and print its result; return it with the error of report.html, if any.
 

@@ -14,12 +14,7 @@ from ..errors import InputError
 from ..operating_system import quoted
 from .application import app
 from .messages import FAULT_FOUND
-from .options import (
-    MachineOption,
-    MaxRowsOption,
-    RecordingsArgument,
-    RunFormats,
-)
+from .options import MachineOption, MaxRowsOption, RecordingsArgument, RunFormats
 from .output import console, log
 from .progress import progress_bar
 

@@ -22,13 +22,7 @@ estimation/             state and parameters from sensors; parameters from measu
 
 from ..registry import import_modules
 from .adaptive_controller import AdaptiveController, scaled_machine
-from .base import (
-    CONTROLLERS,
-    Controller,
-    EpisodeStarts,
-    FullStateController,
-    suited_controllers,
-)
+from .base import CONTROLLERS, Controller, EpisodeStarts, FullStateController, suited_controllers
 from .control_period import check_period, period_concern, shorter_period
 from .environment_controller import EnvironmentController
 from .estimation.encoder_drift import encoders_drift

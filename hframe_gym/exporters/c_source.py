@@ -10,15 +10,7 @@ from typing_extensions import override
 
 from ..machine import Machine
 from .base import EXPORTERS, Files, MachineExporter, option
-from .source.c99 import (
-    C99,
-    c_comment,
-    constants,
-    declaration,
-    definition,
-    function_text,
-    helper_functions,
-)
+from .source.c99 import C99, c_comment, constants, declaration, definition, function_text, helper_functions
 from .source.formula import Formula
 from .source.inverse_dynamics import BISECTIONS
 from .source.language import write_body

@@ -238,13 +238,7 @@ def _model_functions(machine: Machine) -> list[Formula]:
             (of.next_effect_state,),
             _next_effect_state,
         ),
-        traced(
-            "sensors",
-            "Readings of the sensors without noise.",
-            (of.travel,),
-            (of.reading,),
-            _sensors,
-        ),
+        traced("sensors", "Readings of the sensors without noise.", (of.travel,), (of.reading,), _sensors),
     ]
 
 

@@ -58,10 +58,7 @@ class Session(NamedTuple):
 
 
 def prepare_session(
-    recordings: Sequence[Recording],
-    machine: Machine,
-    criteria: SaturationCriteria,
-    log: LineLog,
+    recordings: Sequence[Recording], machine: Machine, criteria: SaturationCriteria, log: LineLog
 ) -> Session:
     """Prepare all runs of a session for a fit, and log what is not used.
 
@@ -92,10 +89,7 @@ def prepare_session(
 
 
 def _prepared(
-    recordings: Sequence[Recording],
-    machine: Machine,
-    criteria: SaturationCriteria,
-    log: LineLog,
+    recordings: Sequence[Recording], machine: Machine, criteria: SaturationCriteria, log: LineLog
 ) -> Session:
     """Prepare all runs of a session with the directions of the drives of this machine."""
     usable = [usable_run(recording, machine, log).usable for recording in recordings]

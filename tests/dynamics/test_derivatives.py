@@ -65,11 +65,7 @@ class Case:
 
     def simulate(self, arrays):
         return self.motion.simulate(
-            arrays["start"],
-            arrays["inputs"],
-            arrays["parameters"],
-            earlier=arrays["earlier"],
-            start_time=0.3,
+            arrays["start"], arrays["inputs"], arrays["parameters"], earlier=arrays["earlier"], start_time=0.3
         )
 
     def value(self, arrays):

@@ -8,13 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hframe_gym.dynamics import (
-    LANES,
-    in_blocks,
-    kernel_for,
-    kernel_source_text,
-    simulate,
-)
+from hframe_gym.dynamics import LANES, in_blocks, kernel_for, kernel_source_text, simulate
 from hframe_gym.dynamics.codegen import kernel, machine_code
 from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import BUILTIN_MACHINES, Machine

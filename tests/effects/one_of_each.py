@@ -77,10 +77,7 @@ def _with_payload(hertz: float, zeta: float, ratio: float) -> dict[str, Any]:
     x, y, *motors = Rig().mass
     carriage, w = y / (1.0 + ratio), 2.0 * np.pi * hertz
     mass = ratio * carriage
-    return {
-        "mass": (x, carriage, *motors),
-        "payload": Payload(mass, mass * w * w, 2.0 * zeta * w * mass),
-    }
+    return {"mass": (x, carriage, *motors), "payload": Payload(mass, mass * w * w, 2.0 * zeta * w * mass)}
 
 
 _CASES = (
@@ -123,10 +120,7 @@ _CASES = (
         {"bristle_stiffness": _x(1e4), "bristle_damping": _x(60.0)},
     ),
     Case(
-        "friction_warm_up",
-        "machine",
-        {"a": 0.9, "tau": 0.5},
-        {"friction_cold": (0.9,) * 4, "warm_up_s": 0.5},
+        "friction_warm_up", "machine", {"a": 0.9, "tau": 0.5}, {"friction_cold": (0.9,) * 4, "warm_up_s": 0.5}
     ),
     Case(
         "bouc_wen_hysteresis",

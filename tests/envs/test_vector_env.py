@@ -36,10 +36,7 @@ def actions(n, steps, seed=0):
     return np.repeat(drawn, 5, axis=0)[:steps].astype(np.float32)
 
 
-OPTIONS = [
-    {"randomize": "default"},
-    {"randomize": "wide", "ends": "terminate", "machine": "hframe-order20"},
-]
+OPTIONS = [{"randomize": "default"}, {"randomize": "wide", "ends": "terminate", "machine": "hframe-order20"}]
 
 
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])

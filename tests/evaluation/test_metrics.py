@@ -110,7 +110,7 @@ def test_track_scores_by_hand() -> None:
     position = goal + np.array([[[-1e-3, 0.0]], [[0.0, 2e-3]]])
     contour = np.array([np.zeros(5), np.full(5, 2e-3)])
     card = score_episodes(
-        episodes(time_s=time_s, goal=goal, position=position, contour=contour, volts=np.zeros((2, 4, 2))),
+        episodes(time_s=time_s, goal=goal, position=position, contour=contour, volts=np.zeros((2, 4, 2)))
     )
     assert card["success"] == {"1mm": 0.5, "0.2mm": 0.5, "0.05mm": 0.5}
     assert card["contour_mm"]["rms"]["mean"] == pytest.approx(1.0)

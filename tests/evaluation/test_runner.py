@@ -225,8 +225,7 @@ def test_one_axis_is_plotted_over_time() -> None:
 
 
 @pytest.mark.parametrize(
-    ("machine", "label"),
-    [("hframe", "voltage, V"), ("wheel", "voltage, V"), ("servo", "set point, rad")],
+    ("machine", "label"), [("hframe", "voltage, V"), ("wheel", "voltage, V"), ("servo", "set point, rad")]
 )
 def test_commands_have_the_name_and_unit_of_the_drives(machine: str, label: str) -> None:
     """A duty cycle is a voltage in simulations."""

@@ -11,12 +11,7 @@ import pytest
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
-from hframe_gym.identification import (
-    SelectedEffect,
-    default_free_parameters,
-    fit,
-    identify,
-)
+from hframe_gym.identification import SelectedEffect, default_free_parameters, fit, identify
 from hframe_gym.identification.budget import (
     COMPARISON_PART,
     DEFAULT_SECONDS,

@@ -153,10 +153,7 @@ def test_an_h_frame_whose_bridge_moves_along_y_is_drawn_with_x_and_y_exchanged()
     along_x, along_y = geometry_of(4.0, 2.0, *ranges), geometry_of(2.0, 4.0, *ranges[::-1])
     assert type(along_y) is BeltGeometry
     # a mirror image turns inversely
-    assert (along_y.belts, along_y.motors) == (
-        along_x.belts,
-        ((1, -1.0), (3, -1.0)),
-    )
+    assert (along_y.belts, along_y.motors) == (along_x.belts, ((1, -1.0), (3, -1.0)))
     assert along_y.pulleys(-0.04, 0.07) == [point[::-1] for point in along_x.pulleys(0.07, -0.04)]
     for name, points in along_y.sections(-0.04, 0.07).items():
         assert points == [point[::-1] for point in along_x.sections(0.07, -0.04)[name]]

@@ -109,9 +109,7 @@ def test_only_sensors_with_a_direction_are_turned() -> None:
 
 def test_machines_with_belts_are_left_to_check() -> None:
     corexy = BUILTIN_MACHINES["corexy"]()
-    recordings = [
-        Recording("run", np.arange(100.0), np.zeros((100, 2)), np.zeros((100, 4))),
-    ]
+    recordings = [Recording("run", np.arange(100.0), np.zeros((100, 2)), np.zeros((100, 4)))]
     assert turned_coordinates(corexy, recordings) == ()  # type: ignore[arg-type]
 
 

@@ -8,12 +8,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.machine import BUILTIN_MACHINES, Sensor
-from hframe_gym.recordings import (
-    Recording,
-    repetitions,
-    without_repetitions,
-    without_silences,
-)
+from hframe_gym.recordings import Recording, repetitions, without_repetitions, without_silences
 from tests.example_runs import example_runs
 
 X = 2  # column of x_m

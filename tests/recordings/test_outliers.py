@@ -9,12 +9,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
-from hframe_gym.recordings import (
-    Recording,
-    load_recordings,
-    outlier_mask,
-    without_outliers,
-)
+from hframe_gym.recordings import Recording, load_recordings, outlier_mask, without_outliers
 from tests.example_runs import example_runs
 
 X = 2  # column of x_m

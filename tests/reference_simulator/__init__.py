@@ -14,14 +14,4 @@ Conventions, everywhere in this package:
 from tests.reference_simulator.rig import COORDINATES, Array, Frame, Payload, Rig, Yaw
 from tests.reference_simulator.stage import Stage, energy, simulate
 
-__all__ = [
-    "COORDINATES",
-    "Array",
-    "Frame",
-    "Payload",
-    "Rig",
-    "Stage",
-    "Yaw",
-    "energy",
-    "simulate",
-]
+__all__ = ["COORDINATES", "Array", "Frame", "Payload", "Rig", "Stage", "Yaw", "energy", "simulate"]

@@ -143,10 +143,7 @@ def parameter_arrays(rig: Rig) -> tuple[ParameterArrays, MeasuredCoordinates]:
     belts, length_gradient, rows = _belts(rig, len(coordinates))
     if rig.yaw:
         # Left and right; the bottom belt does not see yaw.
-        rows[:2, yaw] = (
-            rig.yaw.half_width_m,
-            -rig.yaw.half_width_m,
-        )
+        rows[:2, yaw] = (rig.yaw.half_width_m, -rig.yaw.half_width_m)
     arrays = ParameterArrays(
         np.array(coordinates, COORDINATE),
         _drives(rig, encoders),

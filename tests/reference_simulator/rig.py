@@ -123,12 +123,7 @@ class Rig:
     spring_square: PerCoordinate = OFF  # k2 in -k2 (q - q0)^2, a cable that lifts off
     wave_force: PerCoordinate = OFF  # A in A sin(n q + p): cogging of a motor, magnets along a rail
     # n, rad/m; periods per revolution of the belt pulley
-    wave_number: PerCoordinate = (
-        40.0,
-        40.0,
-        10.0,
-        10.0,
-    )
+    wave_number: PerCoordinate = (40.0, 40.0, 10.0, 10.0)
     wave_phase: PerCoordinate = OFF  # p, rad
     wave_second: PerCoordinate = OFF  # c: the force above plus c A sin(2 n q), a second harmonic
     # A, maximum pull of a magnet at q0: -A sqrt(e) u exp(-u^2/2), u = (q - q0)/w.
@@ -150,10 +145,7 @@ class Rig:
     electrical_lag_s: PerDrive = (0.0, 0.0)  # tau = L/R
     input_delay_s: PerDrive = (0.0, 0.0)
     # a in torque (1 - a h), tau h' = i^2 - h: relative loss per A^2 in steady state
-    heating_loss: PerDrive = (
-        0.0,
-        0.0,
-    )
+    heating_loss: PerDrive = (0.0, 0.0)
     heating_s: PerDrive = (2.0, 2.0)  # tau
     heating_ohm: PerDrive = (0.0, 0.0)  # a in the resistance R (1 + a h), h as above
     torque_saturation_A: PerDrive = (INF, INF)  # I in torque / (1 + (i/I)^2): the iron saturates
@@ -165,17 +157,11 @@ class Rig:
     supply_ohm: float = 0.0
     supply_s: float = 0.005
     # mu: the dry friction of the drive's coordinate grows by mu |torque|
-    load_friction: PerDrive = (
-        0.0,
-        0.0,
-    )
+    load_friction: PerDrive = (0.0, 0.0)
     current_ripple: PerDrive = (0.0, 0.0)  # a in torque (1 + a sin(n phi)): Kt varies with the commutation
     current_ripple_order: PerDrive = (12.0, 12.0)  # n
     # Half the gap between the motor's gear, which the encoder measures, and the pulley.
-    backlash_rad: PerDrive = (
-        0.0,
-        0.0,
-    )
+    backlash_rad: PerDrive = (0.0, 0.0)
     backlash_stiffness: float = 300.0  # Nm/rad of the teeth
     backlash_damping: float = 0.0  # damping ratio of the pulley's inertia against the teeth
     # Fraction of the coordinate's inertia and friction on the motor's side of the gap.

@@ -164,11 +164,7 @@ def test_frame_responds_to_the_acceleration_of_the_bridge():
     frame = Frame(11.0, 0.05, 0.05)
     push = 4.07  # 1 m/s^2
     rig = Rig(
-        constant_force=(push, 0.0, 0.0, 0.0),
-        viscous=(0.0,) * 4,
-        belt_EA_N=(1e-9,) * 3,
-        frame=frame,
-        **SMOOTH,
+        constant_force=(push, 0.0, 0.0, 0.0), viscous=(0.0,) * 4, belt_EA_N=(1e-9,) * 3, frame=frame, **SMOOTH
     )
     q, _ = simulate(rig, np.array([0.0, 0.2]), np.zeros((2, 2)))
     w, zeta, t = 2.0 * math.pi * 11.0, 0.05, 0.2

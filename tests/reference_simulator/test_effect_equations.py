@@ -44,10 +44,7 @@ CART = {
     "cold": ({"friction_cold": 1.5}, lambda t, q, v: -0.4 * 1.5 * math.exp(-t / 40.0)),
     "bent rail": ({"friction_cross_position": 6.0}, lambda t, q, v: -6.0 * 0.1),  # x rests at 0.1 m
     "drag": ({"quadratic_drag": 20.0}, lambda t, q, v: -20.0 * v * v),
-    "brake": (
-        {"brake_drag": 20.0, "brake_speed": 0.1},
-        lambda t, q, v: -20.0 * v / (1.0 + (v / 0.1) ** 2),
-    ),
+    "brake": ({"brake_drag": 20.0, "brake_speed": 0.1}, lambda t, q, v: -20.0 * v / (1.0 + (v / 0.1) ** 2)),
     "spring": ({"spring_stiffness": 60.0, "spring_rest": 0.03}, lambda t, q, v: -60.0 * (q - 0.03)),
     "lifting cable": ({"spring_square": 80.0, "spring_rest": -0.1}, lambda t, q, v: -80.0 * (q + 0.1) ** 2),
     "stale grease": (  # in one direction from y = 0 the path is y

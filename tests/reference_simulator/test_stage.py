@@ -155,11 +155,7 @@ def test_constant_force_and_input_delay():
 def test_asymmetric_viscous_and_drag_set_the_terminal_speed():
     loose = {"belt_EA_N": (1e-9,) * 3, "viscous_asymmetry": (0.0, 0.2, 0.0, 0.0)}
     for sign, viscous in ((1.0, 35.2944 * 1.2), (-1.0, 35.2944 * 0.8)):
-        rig = Rig(
-            constant_force=(0.0, sign * 10.0, 0.0, 0.0),
-            quadratic_drag=(0.0, 8.0, 0.0, 0.0),
-            **loose,
-        )
+        rig = Rig(constant_force=(0.0, sign * 10.0, 0.0, 0.0), quadratic_drag=(0.0, 8.0, 0.0, 0.0), **loose)
         time_s, inputs = _held((0.0, 0.0), 1.0)
         _, v = simulate(rig, time_s, inputs)
         speed = sign * v[-1, 1]

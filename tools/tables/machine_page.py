@@ -8,14 +8,7 @@ import re
 from pydantic.fields import FieldInfo
 
 from hframe_gym.machine import summary
-from hframe_gym.recordings import (
-    TABLES,
-    Table,
-    field_descriptions,
-    field_units,
-    fields,
-    machine_json_schema,
-)
+from hframe_gym.recordings import TABLES, Table, field_descriptions, field_units, fields, machine_json_schema
 from tools.tables.result_tables import markdown
 
 # Titles of the sections; the classes are private to the reader of the file.

@@ -59,14 +59,7 @@ def summary(results: dict[str, Any]) -> str:
             [title, f"{len(found)}", f"{kept}", f"{better}", f"{median(found):.2f}", f"{max(found):.2f}"]
         )
     return markdown(
-        [
-            "machines",
-            "recordings",
-            "ratio at most 1",
-            f"below {CLEARLY_BETTER:g}",
-            "median ratio",
-            "worst",
-        ],
+        ["machines", "recordings", "ratio at most 1", f"below {CLEARLY_BETTER:g}", "median ratio", "worst"],
         rows,
     )
 

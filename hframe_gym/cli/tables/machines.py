@@ -8,15 +8,7 @@ from rich.table import Table
 
 from ...dynamics import belt_modes
 from ...effects import EFFECTS
-from ...machine import (
-    BUILTIN_MACHINES,
-    DRIVE_KINDS,
-    Machine,
-    Row,
-    motion_limits,
-    rigid_motions,
-    written_unit,
-)
+from ...machine import BUILTIN_MACHINES, DRIVE_KINDS, Machine, Row, motion_limits, rigid_motions, written_unit
 from ...registry import load_plugins
 
 LISTED_MODES = 3

@@ -147,13 +147,7 @@ class SimulatedTransfers:
         return np.stack(pulses, axis=1), chosen, -np.linalg.solve(chosen, final[:, self._durations])
 
     def _final_states(
-        self,
-        pulse: Array,
-        costates: Array,
-        state: Array,
-        memory: Array,
-        parameters: Array,
-        last_volts: Array,
+        self, pulse: Array, costates: Array, state: Array, memory: Array, parameters: Array, last_volts: Array
     ) -> Array:
         """Simulate the plans that end soon, within the voltage limits; return the last states (B, k, 2 n)."""
         periods, rated = int(self._simulated[-1]), self._model.rated

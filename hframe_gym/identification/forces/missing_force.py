@@ -20,13 +20,7 @@ from ...machine import Machine
 from ...machine.motion import pulley_names, rigid_motions
 from ...preparation.dataset import Dataset, PreparedRecording
 from ..fit.start_estimation import start_for_observer
-from ..predict.prediction import (
-    SEARCH_BANDWIDTH,
-    map_runs,
-    measurements_from,
-    observer_gains,
-    predict,
-)
+from ..predict.prediction import SEARCH_BANDWIDTH, map_runs, measurements_from, observer_gains, predict
 
 # Low-pass cut-off frequency, Hz. In the force residual, noise is fast and a missing effect slow.
 _RESIDUAL_CUTOFF = 30.0

@@ -12,13 +12,7 @@ from ...arrays import Array
 from ...machine import Machine
 from ...preparation.belt_stretch import rigid_basis
 from ...preparation.dataset import Dataset, PreparedRecording
-from .prediction import (
-    LONGEST_OBSERVER_PERIOD,
-    POLISH_STEP,
-    mechanical_rows_per_block,
-    predict,
-    residuals,
-)
+from .prediction import LONGEST_OBSERVER_PERIOD, POLISH_STEP, mechanical_rows_per_block, predict, residuals
 
 Rows = NDArray[np.intp]
 # Product of the observer's bandwidth and the time after which it has corrected the response to a row; the

@@ -35,12 +35,7 @@ def _drawn_machines(report: Report, curves: ResultCurves) -> dict[str, str]:
     return {key: label for key, label in compared_machines(report).items() if key in known}
 
 
-def run_ratio(
-    report: Report,
-    curves: ResultCurves,
-    run: str,
-    stage: str = "after",
-) -> float | None:
+def run_ratio(report: Report, curves: ResultCurves, run: str, stage: str = "after") -> float | None:
     """Return a held-out run's simulation error over the sensors' noise, root mean square over the channels.
 
     Args:

@@ -122,11 +122,7 @@ def _coordinate(effect: AppliedEffect, machine: Machine) -> Coordinate | None:
 
 
 def _axis(
-    symbol: str,
-    effect: AppliedEffect,
-    machine: Machine,
-    coordinate: Coordinate | None,
-    curves: ResultCurves,
+    symbol: str, effect: AppliedEffect, machine: Machine, coordinate: Coordinate | None, curves: ResultCurves
 ) -> tuple[Array, str] | None:
     """Return a variable's values at which an effect is drawn, and its name with the unit."""
     if symbol == "V":

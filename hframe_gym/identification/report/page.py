@@ -28,11 +28,7 @@ _HEADINGS = {
     "unexplained": "Unexplained error",
 }
 # What is left, by the tone of the page.
-_LEFT = {
-    "good": "",
-    "neutral": ", a small error is left",
-    "warning": ", a large error is left",
-}
+_LEFT = {"good": "", "neutral": ", a small error is left", "warning": ", a large error is left"}
 
 
 def build_report(folder: Path, final_folder: Path | None = None) -> Path:

@@ -39,11 +39,7 @@ _QUANTITIES = {  # of a variable: quantity of the coordinate, and what follows i
 
 
 def report_panels(
-    report: Report,
-    curves: ResultCurves,
-    machine: Machine,
-    declared: Machine,
-    runs: Sequence[str] = (),
+    report: Report, curves: ResultCurves, machine: Machine, declared: Machine, runs: Sequence[str] = ()
 ) -> Panels:
     """Prepare an identification report's plots as panels: axes with title, description and drawing function.
 

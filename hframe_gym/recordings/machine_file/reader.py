@@ -33,14 +33,7 @@ from ...machine import (
 )
 from ...registry import PLUGIN_VARIABLE, Registry
 from .plausibility import implausible_values
-from .schema import (
-    EFFECT_FIELDS,
-    EffectEntry,
-    EffectField,
-    MachineFile,
-    QuantityEntry,
-    UncertaintyEntry,
-)
+from .schema import EFFECT_FIELDS, EffectEntry, EffectField, MachineFile, QuantityEntry, UncertaintyEntry
 
 _OWN_PART = f"if it is one of your own, name its Python file in the environment variable {PLUGIN_VARIABLE}"
 MAX_TEXT = 1000  # characters of a name or description

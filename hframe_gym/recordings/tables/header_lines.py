@@ -7,14 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..quantities import is_unit
-from .cells import (
-    NUMBER,
-    SEPARATORS,
-    WHITESPACE,
-    is_comment,
-    is_number_or_stamp,
-    split_row,
-)
+from .cells import NUMBER, SEPARATORS, WHITESPACE, is_comment, is_number_or_stamp, split_row
 
 _COMMENT_SIGN = re.compile(r"\s*(?:#+|%+|//+)\s*")
 _COMMENTS_WITH_NAMES = 3  # last comments above the data in which the names of the columns are looked for

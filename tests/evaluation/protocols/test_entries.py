@@ -13,13 +13,7 @@ import pytest
 from hframe_gym.controllers import CONTROLLERS, Controller
 from hframe_gym.envs.sb3_vec_env import HFrameVecEnv
 from hframe_gym.errors import InputError
-from hframe_gym.evaluation import (
-    PROTOCOLS,
-    Entry,
-    Protocol,
-    make_entry,
-    run_protocol,
-)
+from hframe_gym.evaluation import PROTOCOLS, Entry, Protocol, make_entry, run_protocol
 from tests.evaluation.protocols.small_protocols import small
 
 pytestmark = pytest.mark.integration

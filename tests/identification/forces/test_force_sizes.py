@@ -18,14 +18,7 @@ from hframe_gym.identification.forces.force_sizes import force_size
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH, predict, prediction_error
 from hframe_gym.machine import AppliedEffect
 from hframe_gym.recordings import Recording
-from tests.identification.scripted_fits import (
-    AXIS,
-    DATA,
-    FRAME,
-    HFRAME,
-    PUSH,
-    fit_with,
-)
+from tests.identification.scripted_fits import AXIS, DATA, FRAME, HFRAME, PUSH, fit_with
 from tests.identification.single_axis import axis_runs
 
 

@@ -37,10 +37,7 @@ from hframe_gym.identification.fit.slow_logs import (
     fit_by_instruments,
     fit_slow_log,
 )
-from hframe_gym.identification.fit.voltage_updates import (
-    count_updates,
-    other_updates,
-)
+from hframe_gym.identification.fit.voltage_updates import count_updates, other_updates
 from hframe_gym.identification.judge.verdict import JUDGING_BANDWIDTH
 from hframe_gym.identification.predict.free_parameters import prior_precision
 from hframe_gym.identification.predict.prediction import (

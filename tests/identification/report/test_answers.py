@@ -208,10 +208,7 @@ def test_a_description_does_not_hide_which_sensor_deviates(
 def test_what_is_left_is_stated_also_if_errors_are_those_of_the_force(verdict: str) -> None:
     errors = {"x_m": {"rmse": 1.0, "noise_ratio": 900.0}, "force_error": 0.06}
     # in the order of the explained force
-    shares = (
-        ("velocity of y", "y", 0.26),
-        ("velocity of x", "x", 0.31),
-    )
+    shares = (("velocity of y", "y", 0.26), ("velocity of x", "x", 0.31))
     depends_on = [dict(zip(("variable", "coordinate", "share"), s, strict=True)) for s in shares]
     report = report_with(
         errors,

@@ -12,13 +12,7 @@ from typer.testing import CliRunner
 from hframe_gym.cli import app
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import (
-    Dataset,
-    FreeParameter,
-    default_free_parameters,
-    fit,
-    prepare,
-)
+from hframe_gym.identification import Dataset, FreeParameter, default_free_parameters, fit, prepare
 from hframe_gym.identification.fit.covariance import with_uncertainty
 from hframe_gym.identification.predict.prediction import SIMULATION
 from hframe_gym.identification.report.experiment_design import (

@@ -63,9 +63,7 @@ def test_without_sensors_the_motion_is_given_every_millisecond(tmp_path: Path) -
 def test_steps_and_angles_have_their_times(tmp_path: Path) -> None:
     angles = [[1.0, 0], [1.1, 16384], [1.2, -65536]]
     write_klipper(
-        tmp_path / "a.json.gz",
-        block("stepq:stepper_x", **KLIPPER_STEPS),
-        block("angle:hall", data=angles),
+        tmp_path / "a.json.gz", block("stepq:stepper_x", **KLIPPER_STEPS), block("angle:hall", data=angles)
     )
     (log,) = open_logs(tmp_path / "a.json.gz")
     assert [(c.header, c.unit) for c in log.columns] == [

@@ -971,11 +971,7 @@ def test_a_long_log_is_cut_where_the_machine_rests(
     assert [run.name for run in runs] == ["log_01", "log_02", "log_03"]
     assert any("cut at rests of 0.5 s and more: 3 runs of" in line for line in lines)
     # The rest of 0.2 s is too short.
-    moves = [
-        (edges[0], edges[1]),
-        (edges[2], edges[5]),
-        (edges[6], edges[7]),
-    ]
+    moves = [(edges[0], edges[1]), (edges[2], edges[5]), (edges[6], edges[7])]
     for run, (start, stop) in zip(runs, moves, strict=True):
         assert start - 0.52 < run.time_s[0] < start - 0.4
         assert stop + 0.45 < run.time_s[-1] < stop + 0.75  # the carriage coasts for 0.2 s

@@ -189,10 +189,7 @@ def test_a_missing_extra_is_named(module: str, tmp_path: Path, monkeypatch: pyte
         open_logs(path)
 
 
-@pytest.mark.parametrize(
-    "definition",
-    ["float64 3x", "float64 class", "float64 x\nother/Type y("],
-)
+@pytest.mark.parametrize("definition", ["float64 3x", "float64 class", "float64 x\nother/Type y("])
 def test_faulty_definitions_are_refused(definition: str) -> None:
     with pytest.raises(UnreadableError, match="faulty definition"):
         RosDecoder().add_definition("a/msg/B", definition, idl=False)
