@@ -165,11 +165,9 @@ class AnalyticPolicyGradient:
         self.env.venv.reset()
         self.mapping.reset()
         batch, model = self._envs.batch, self._model
-        parameters, references, has_path = (
-            self._envs.parameters,
-            batch.references,
-            batch.task.metrics == "track",
-        )
+        parameters = self._envs.parameters
+        references = batch.references
+        has_path = batch.task.metrics == "track"
         state = torch.from_numpy(model.goal_state(model.axis_travel(batch.simulator.tool_positions())))
         last_observation, last_action, costs = None, None, []
         last_volts = torch.zeros((len(state), len(model.rated)), dtype=torch.float64)
@@ -196,10 +194,8 @@ class AnalyticPolicyGradient:
                     motions = self._period.simulate(
                         state.numpy(), volts.numpy(), last_volts.numpy(), parameters
                     )
-                    state, last_volts = (
-                        torch.from_numpy(self._period.outputs(motions))[:, : state.shape[1]],
-                        volts,
-                    )
+                    state = torch.from_numpy(self._period.outputs(motions))[:, : state.shape[1]]
+                    last_volts = volts
                     continue
                 outputs = differentiable_period(
                     state, volts, last_volts, parameters, self._period, limit, self._discount

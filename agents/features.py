@@ -193,10 +193,8 @@ def feature_matrix(
         if key in selectors:
             blocks.append(_scaled_columns(selectors[key], ACTION_SCALES, 1.0))
     if "expected_friction" in selectors:
-        upcoming, recent = (
-            selectors["expected_friction"][:, :-drives],
-            selectors["expected_friction"][:, -drives:],
-        )
+        upcoming = selectors["expected_friction"][:, :-drives]
+        recent = selectors["expected_friction"][:, -drives:]
         # An integral action knows the recent (last) friction voltages, but does not anticipate their changes.
         change = upcoming - np.tile(recent, upcoming.shape[1] // drives)
         columns = np.hstack([upcoming[:, :drives], change])

@@ -72,10 +72,8 @@ def score_hint(effect: OutsideEffect, report: Row, acceptable: list[str]) -> Row
     if hint := report.get("hint"):
         component, variable = hint["component"], hint["variable"]
     elif depends_on := report["residual"]["depends_on"]:
-        component, variable = (
-            depends_on[0].get("component") or depends_on[0]["coordinate"],
-            depends_on[0]["variable"],
-        )
+        component = depends_on[0].get("component") or depends_on[0]["coordinate"]
+        variable = depends_on[0]["variable"]
     right_component = component in effect.components or bool(acceptable)
     right_variable = any(fnmatch(variable, pattern) for pattern in effect.variables) or bool(acceptable)
     return {

@@ -74,11 +74,9 @@ def peak_to_peak(position: Array) -> float:
 
 def rows() -> list[Row]:
     """Compare every statement of the text that a model can verify."""
-    declared, linear, full = (
-        BUILTIN_MACHINES["hframe"](),
-        BUILTIN_MACHINES["hframe-linear"](),
-        BUILTIN_MACHINES["hframe-order20"](),
-    )
+    declared = BUILTIN_MACHINES["hframe"]()
+    linear = BUILTIN_MACHINES["hframe-linear"]()
+    full = BUILTIN_MACHINES["hframe-order20"]()
     friction, literal = nonlinear(), with_constant_stiffness(BUILTIN_MACHINES["hframe-literal"](), STIFFNESS)
     statements: list[Row] = []
 
@@ -229,11 +227,9 @@ def main() -> None:
     for row in statements:
         table.add_row(*row)
     console.print(table)
-    linear, full, friction = (
-        BUILTIN_MACHINES["hframe-linear"](),
-        BUILTIN_MACHINES["hframe-order20"](),
-        nonlinear(),
-    )
+    linear = BUILTIN_MACHINES["hframe-linear"]()
+    full = BUILTIN_MACHINES["hframe-order20"]()
+    friction = nonlinear()
     orders = {"8th order": linear, "20th order": full}
     kinds = {"linear": linear, "nonlinear": friction}
     figures: dict[str, Callable[[], Figure]] = {

@@ -302,10 +302,8 @@ class DifferentiableMotion:
         units = self._units(parameters)[:, None, : self._count]
         travel = states[:, :, : self._count] * units
         of_travel, of_parameters = np.empty(travel.shape), np.empty(parameters.shape)
-        address, adjoint = (
-            self._program.derivatives["read_sensors_back"],
-            np.ascontiguousarray(by_readings, float),
-        )
+        address = self._program.derivatives["read_sensors_back"]
+        adjoint = np.ascontiguousarray(by_readings, float)
         _in_blocks(
             lambda first, last: readings_back(
                 address, travel, parameters, adjoint, first, last, of_travel, of_parameters

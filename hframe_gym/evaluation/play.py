@@ -32,13 +32,11 @@ HELP = (
     "arrow keys: push (with Shift: full voltage)    left button: pull to the pointer    right button: "
     "target    N: new    R: repeat    Space: pause    Q: quit"
 )
-BACKGROUND, INK, MUTED, BAR, GOOD = (
-    (250, 250, 248),
-    (44, 50, 60),
-    (110, 118, 128),
-    (43, 108, 196),
-    (22, 140, 92),
-)
+BACKGROUND = (250, 250, 248)
+INK = (44, 50, 60)
+MUTED = (110, 118, 128)
+BAR = (43, 108, 196)
+GOOD = (22, 140, 92)
 
 
 class _StageView(Renderer):

@@ -286,10 +286,8 @@ class CoreXYGeometry(StageGeometry):
         carriage, bridge = self._swap((x, y))  # positions along the bridge, and along its motion
         motor1, motor2, left1, right1, left2, right2, front_l, front_r, rear_l, rear_r = self._pulleys(bridge)
         r, pi = self.radius, math.pi
-        front, rear = (
-            (carriage, bridge - r),
-            (carriage, bridge + r),
-        )  # where the belts are fixed to the carriage
+        front = (carriage, bridge - r)
+        rear = (carriage, bridge + r)  # where the belts are fixed to the carriage
         lines = {
             "front1": [*_arc(motor1, 1.5 * pi, 2 * pi, r), *_arc(front_l, pi, HALF_PI, r), front],
             "rear1": [

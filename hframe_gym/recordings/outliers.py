@@ -127,10 +127,8 @@ def _begins_or_ends_move(values: Array, first: int, length: int, floor: float) -
     before and after them, at two places, they may also turn back in between, as a drive that overshoots or
     sticks does.
     """
-    before, after = (
-        values[max(first - _NEIGHBORS, 0) : first],
-        values[first + length : first + length + _NEIGHBORS],
-    )
+    before = values[max(first - _NEIGHBORS, 0) : first]
+    after = values[first + length : first + length + _NEIGHBORS]
     rests = [len(side) > 1 and float(np.median(np.abs(np.diff(side)))) <= floor for side in (before, after)]
     steps = np.diff(values[first - 1 : first + length + 1])
     if np.all(steps > 0.0) or np.all(steps < 0.0):

@@ -279,10 +279,8 @@ def test_a_run_that_cannot_be_resumed_is_refused_without_that_advice(hindrance, 
         (untrained_agent / "checkpoint.zip").unlink()
     if hindrance == "a damaged card":
         (untrained_agent / "card.json").write_text("{}")
-    algorithm, seed = (
-        "sac" if hindrance == "another recipe" else "ppo",
-        1 if hindrance == "another seed" else 0,
-    )
+    algorithm = "sac" if hindrance == "another recipe" else "ppo"
+    seed = 1 if hindrance == "another seed" else 0
     machine = "axis" if hindrance == "another machine" else "hframe"
     with pytest.raises(InputError) as error:
         train(algorithm, machine, steps=1, seed=seed, out=untrained_agent, log=ignore)

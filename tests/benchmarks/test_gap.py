@@ -115,11 +115,9 @@ def test_plants_hide_zero_to_three_effects_and_every_second_of_each_number_a_res
 
 
 def test_a_plant_follows_from_its_seed_and_index() -> None:
-    first, again, other = (
-        draw_plant(PUBLIC_SEED, 7),
-        draw_plant(PUBLIC_SEED, 7),
-        draw_plant(PUBLIC_SEED + 1, 7),
-    )
+    first = draw_plant(PUBLIC_SEED, 7)
+    again = draw_plant(PUBLIC_SEED, 7)
+    other = draw_plant(PUBLIC_SEED + 1, 7)
     assert first.describe() == again.describe()
     assert first.stage == again.stage
     assert first.stage != other.stage

@@ -83,11 +83,9 @@ def test_casadi_agrees_with_numpy(case: Case, hframe: Machine) -> None:
     casadi = pytest.importorskip("casadi")
     machine = hframe.with_effects(case.effect)
     n, drives = len(machine.coordinates), len(machine.drives)
-    parameters, z, u = (
-        casadi.SX.sym("p", len(machine.parameters)),
-        casadi.SX.sym("z", 2 * n),
-        casadi.SX.sym("u", drives),
-    )
+    parameters = casadi.SX.sym("p", len(machine.parameters))
+    z = casadi.SX.sym("z", 2 * n)
+    u = casadi.SX.sym("u", drives)
     equations = Equations(machine, dict(zip(machine.parameters, casadi.vertsplit(parameters), strict=True)))
     point = MotionPoint(casadi.vertsplit(z[:n]), casadi.vertsplit(z[n:]), 0.3)
     result = equations.accelerations(point, casadi.vertsplit(u), lambda v: tanh(v / 0.02))

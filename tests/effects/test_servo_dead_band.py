@@ -51,10 +51,8 @@ def test_the_motion_is_that_of_the_independent_simulator() -> None:
 
 @pytest.mark.oracle
 def test_its_width_is_recovered_from_noisy_recordings() -> None:
-    rng, servo = (
-        np.random.default_rng(3),
-        Servo(25.0, 12.0, 2e-3, largest_torque=0.03, gear=3.0, dead_band=WIDTH),
-    )
+    rng = np.random.default_rng(3)
+    servo = Servo(25.0, 12.0, 2e-3, largest_torque=0.03, gear=3.0, dead_band=WIDTH)
     motions = [motion(seed, servo) for seed in (1, 2)]
     recordings = [
         Recording(

@@ -133,12 +133,10 @@ FIELDS = (
 
 # State: positions, velocities, bristles, hystereses (5 each), currents (2), position and velocity of the
 # frame.
-BRISTLE, HYSTERESIS, CURRENT, FRAME = (
-    2 * COORDINATES,
-    3 * COORDINATES,
-    4 * COORDINATES,
-    4 * COORDINATES + DRIVES,
-)
+BRISTLE = 2 * COORDINATES
+HYSTERESIS = 3 * COORDINATES
+CURRENT = 4 * COORDINATES
+FRAME = 4 * COORDINATES + DRIVES
 STATE = FRAME + 2
 
 

@@ -122,10 +122,8 @@ def parameter_arrays(rig: Rig) -> tuple[ParameterArrays, MeasuredCoordinates]:
     encoders = [2, 3]
     for j, half_gap in enumerate(rig.backlash_rad):
         if half_gap:
-            pulley, fractions = (
-                coordinates[2 + j],
-                dict.fromkeys(("mass", "coulomb"), rig.backlash_motor_fraction),
-            )
+            pulley = coordinates[2 + j]
+            fractions = dict.fromkeys(("mass", "coulomb"), rig.backlash_motor_fraction)
             fractions["viscous"] = rig.backlash_motor_viscous
             rotor = add(**{name: pulley[name] * fraction for name, fraction in fractions.items()})
             for name, fraction in fractions.items():

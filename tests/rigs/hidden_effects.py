@@ -304,10 +304,8 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
             build = partial(coordinate, spring_stiffness=k, spring_rest=rest)
             return _hidden(name, site, build, {"k": k, "q0": rest}, forces=("k",))
         case "position_friction":
-            force, length = (
-                size * _per_kind(site, {"x": 1.2, "y": 0.3}.get(site, 0.0), 0.03),
-                _per_kind(site, 0.1, 2 * np.pi),
-            )
+            force = size * _per_kind(site, {"x": 1.2, "y": 0.3}.get(site, 0.0), 0.03)
+            length = _per_kind(site, 0.1, 2 * np.pi)
             build = partial(coordinate, friction_wave=force, friction_wavelength=length, friction_phase=1.0)
             return _hidden(name, site, build, {"A": force, "L": length}, forces=("A",))
         case "friction_slope":

@@ -168,11 +168,9 @@ def _dwell_friction(rng: np.random.Generator) -> OutsideEffect:
 
 
 def _belt_mesh(rng: np.random.Generator) -> OutsideEffect:
-    site, force, pitch = (
-        str(rng.choice(MOTORS)),
-        log_uniform(rng, 0.6, 2.5),
-        float(rng.choice([2e-3, 3e-3, 5e-3])),
-    )
+    site = str(rng.choice(MOTORS))
+    force = log_uniform(rng, 0.6, 2.5)
+    pitch = float(rng.choice([2e-3, 3e-3, 5e-3]))
     build = partial(change_site, sites=MOTORS, site=site, mesh_force_N=force, mesh_pitch_m=pitch)
     phi = f"phi{site[-1]}"
     return OutsideEffect(
@@ -217,11 +215,9 @@ def _belt_relaxation(rng: np.random.Generator) -> OutsideEffect:
 
 
 def _scale_interpolation(rng: np.random.Generator) -> OutsideEffect:
-    site, size, period = (
-        str(rng.choice(CHANNELS[2:])),
-        log_uniform(rng, 3.0, 15.0),
-        log_uniform(rng, 2e-3, 20e-3),
-    )
+    site = str(rng.choice(CHANNELS[2:]))
+    size = log_uniform(rng, 3.0, 15.0)
+    period = log_uniform(rng, 2e-3, 20e-3)
     build = partial(
         change_site,
         sites=CHANNELS,

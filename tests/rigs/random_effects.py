@@ -410,10 +410,8 @@ def draw_off_form(rng: np.random.Generator) -> DrawnEffect:
             more = {"wave_force": deviation * effect.parameters["size"], "wave_number": 2.0 * np.pi / 0.12}
         case _:
             factors = (1.0 + deviation, 1.0 - deviation, 1.0)
-            more, text = (
-                {"belt_damping_factor": factors},
-                "{:+.0%} in the left belt, the opposite in the right one",
-            )
+            more = {"belt_damping_factor": factors}
+            text = "{:+.0%} in the left belt, the opposite in the right one"
     change: Build
     if name == "belt_damping":
         change = partial(change_fields, **more)

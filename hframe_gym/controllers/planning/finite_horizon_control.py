@@ -208,10 +208,8 @@ class MinimumEnergyTransfers(TransferDesign):
             # Voltages of the k checked periods, (B, k, drives).
             volts = np.einsum("bkij,bj->bki", self.gains[points, middle], error)
             admissible = np.all((volts >= lowest[:, None, :]) & (volts <= highest[:, None, :]), axis=(1, 2))
-            low, high = (
-                np.where(admissible | (low == high), low, middle + 1),
-                np.where(admissible, middle, high),
-            )
+            low = np.where(admissible | (low == high), low, middle + 1)
+            high = np.where(admissible, middle, high)
         volts = np.einsum("bij,bj->bi", self.gains[points, high, 0], error)
         return TransferSelection(high + self.shortest, volts)
 

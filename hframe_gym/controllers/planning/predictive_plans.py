@@ -310,8 +310,6 @@ class _TriedPlan(NamedTuple):
     def or_better(self, other: _TriedPlan) -> _TriedPlan:
         """Return for each machine this plan or, if its cost is lower, the other one."""
         better = (other.cost < self.cost)[:, None, None]
-        volts, residual = (
-            np.where(better, other.volts, self.volts),
-            np.where(better, other.residual, self.residual),
-        )
+        volts = np.where(better, other.volts, self.volts)
+        residual = np.where(better, other.residual, self.residual)
         return _TriedPlan(volts, residual, np.minimum(self.cost, other.cost))

@@ -71,16 +71,12 @@ class SensorArray:
         self._keys[index] = keys
         block, lane = np.divmod(index, LANES)
         for j, (noise, resolution) in enumerate(self._device_columns):
-            self._noise[block, j, lane], self._resolution[block, j, lane] = (
-                values[:, noise],
-                values[:, resolution],
-            )
+            self._noise[block, j, lane] = values[:, noise]
+            self._resolution[block, j, lane] = values[:, resolution]
             limits = self._range_columns[j]
             if limits is not None:
-                self.low[block, j, lane], self.high[block, j, lane] = (
-                    values[:, limits[0]],
-                    values[:, limits[1]],
-                )
+                self.low[block, j, lane] = values[:, limits[0]]
+                self.high[block, j, lane] = values[:, limits[1]]
 
     def measure(self, readings: LaneReadings, elapsed: EnvironmentCounts, first: int, last: int) -> None:
         """Turn ideal readings, delays included, of environments in blocks first..last-1 into measurements.
@@ -186,12 +182,10 @@ def _normals(noise: Any, keys: Any, elapsed: Any, first: int, last: int) -> Any:
     begin, count = first * LANES, min(last * LANES, len(elapsed)) - first * LANES
     run = slice(begin, begin + count)
     out = np.zeros((last - first, noise.shape[1], LANES))
-    sizes, normals, spares, has_spare = (
-        np.empty(count),
-        np.empty(count),
-        np.empty(count),
-        np.zeros(count, np.bool_),
-    )
+    sizes = np.empty(count)
+    normals = np.empty(count)
+    spares = np.empty(count)
+    has_spare = np.zeros(count, np.bool_)
     for j in range(noise.shape[1]):
         for i in range(count):
             sizes[i] = noise[first + i // LANES, j, i % LANES]

@@ -175,10 +175,8 @@ class RandomizeParameter:
             raise InputError(
                 f"randomize: parameter is {self.parameter!r}, it must be the name or pattern of a parameter"
             )
-        given, label = (
-            self.distribution,
-            f"randomize: the distribution of {self.parameter!r} is {self.distribution!r}",
-        )
+        given = self.distribution
+        label = f"randomize: the distribution of {self.parameter!r} is {self.distribution!r}"
         if not isinstance(given, str) and isinstance(given, Sequence) and given and isinstance(given[0], str):
             name, *arguments = given
             try:

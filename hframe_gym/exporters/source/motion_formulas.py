@@ -158,10 +158,8 @@ def _formulas_of_motion(dynamics: InverseDynamics, parameters: Mapping[str, Para
     """Trace what a motion of the tool needs: voltages, those against friction, and motor positions."""
     axes, drives = len(dynamics.axes), len(dynamics.machine.drives)
     time = Signal("time", 0, "time since the machine was switched on, s")
-    position, velocity = (
-        Signal("position", axes, "tool position, m"),
-        Signal("velocity", axes, "tool velocity, m/s"),
-    )
+    position = Signal("position", axes, "tool position, m")
+    velocity = Signal("velocity", axes, "tool velocity, m/s")
     acceleration = Signal("acceleration", axes, "tool acceleration, m/s^2")
     voltage = Signal("voltage", drives, "commanded voltage of each drive, V, not limited")
     added = Signal("voltage", drives, "voltage at each motor, V, to be added to a controller's")

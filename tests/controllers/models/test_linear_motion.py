@@ -14,10 +14,8 @@ PERIOD = 0.01
 
 
 def test_the_discrete_time_matrices_are_those_of_the_matrix_exponential_and_of_each_operating_point():
-    parameters, goal = (
-        np.tile(list(MACHINE.parameters.values()), (3, 1)),
-        np.array([[0.0, 0.0], [0.1, 0.05], [-0.1, 0.1]]),
-    )
+    parameters = np.tile(list(MACHINE.parameters.values()), (3, 1))
+    goal = np.array([[0.0, 0.0], [0.1, 0.05], [-0.1, 0.1]])
     matrices = linear_motion.LinearMotion(MODEL, PERIOD).matrices(parameters, goal)
     for b, point in enumerate(goal):
         for matrix, expected in zip(matrices, MODEL.discretize(point, PERIOD), strict=True):
