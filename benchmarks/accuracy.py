@@ -61,8 +61,6 @@ def histories(amplitude: float, count: int = HISTORIES, seed: int = SEED) -> Arr
 
     Args:
         amplitude: Voltages are uniform in +-amplitude, V.
-        count: Number of histories.
-        seed: Seed of the voltages.
 
     Returns:
         Voltages, V, shape (count, ROWS + 1, 2); the last row repeats the one before it.
@@ -81,7 +79,6 @@ def reference_positions(machine: Machine, inputs: Array, *, rtol: float = 1e-10)
     """Simulate histories by the reference on all cores.
 
     Args:
-        machine: Machine to simulate.
         inputs: Voltages, V, shape (batch, ROWS + 1, 2).
         rtol: Relative tolerance.
 

@@ -91,10 +91,6 @@ def agent_folder(name: str, task: str) -> Path:
 def summary(folders: Sequence[Path], seeds: Sequence[int]) -> dict[str, Any]:
     """Score the agents of a recipe.
 
-    Args:
-        folders: Folders of the agents.
-        seeds: Seeds of their training.
-
     Returns:
         `over_bound`: ratio of the mean settling time to the mean bound, over all seeds and `by_seed`, with
         intervals over episodes (and seeds). `agents`: cost, scores and learning curve of each.

@@ -151,7 +151,6 @@ def score(
     """Score the controllers and shipped agents of a task; compare each recipe with the PID and the bound.
 
     Args:
-        task: Name of the task.
         recipes: Names of recipes whose agents are scored; None for all, with the controllers.
         previous: Earlier result, from which the other rows are taken.
 

@@ -56,7 +56,6 @@ def solve(conditions: EpisodeConditions, seed: int, task: str) -> list[dict[str,
     Args:
         conditions: Starts, goals and parameters of the episodes.
         seed: Seed of the first episode.
-        task: Name of the task.
 
     Returns:
         One row per episode: seed, digest, bound, status and the errors of the replay.
@@ -98,7 +97,6 @@ def replay(conditions: EpisodeConditions, b: int, plan: TimeOptimalMotion) -> tu
     Args:
         conditions: Starts, goals and parameters of the episodes.
         b: Number of the episode.
-        plan: Its time-optimal motion.
 
     Returns:
         Distance of the tool from the goal at the bound, and the largest distance from then on, m.

@@ -50,7 +50,6 @@ def run_rig(number: int, data: Path, *, log: bool = False) -> dict[str, Any]:
 
     Args:
         number: Number of the rig, from 1.
-        data: Folder of the rigs.
         log: Whether to print the progress of the identification, with the processor time.
 
     Returns:

@@ -115,11 +115,7 @@ def trained(training: Training, machine: Machine, randomize: str, folder: Path, 
     """Return an agent that was trained on a machine; train it if that has not been done.
 
     Args:
-        training: Recipe, steps and start.
-        machine: Machine to train on.
-        randomize: Randomization during training.
         folder: Folder of the agent, with its card.
-        seed: Seed of the training.
 
     Returns:
         The agent.
@@ -143,9 +139,7 @@ def controllers(
     """Yield the controllers of a rig, learned ones once per seed.
 
     Args:
-        session: Recorded rig.
         kinds: Keys of `DECIDES`.
-        seeds: Seeds of the trainings.
 
     Yields:
         Key of `DECIDES`, name of the machine, controller, and of a learned one the steps and the processor
@@ -172,9 +166,6 @@ def controllers(
 
 def score(run: Driven) -> dict[str, Array]:
     """Return the scores of each episode, shape (episodes,) each.
-
-    Args:
-        run: Closed-loop episodes.
 
     Returns:
         Along a path: rms and maximum contour error, mm. Otherwise: final error, mm, and per band success and

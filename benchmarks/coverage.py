@@ -75,7 +75,6 @@ def starting_effects(rig: RandomRig, machine: Machine) -> list[AppliedEffect]:
     """Return the effects of a rig with parameters that are off the true ones, as a search would start them.
 
     Args:
-        rig: The rig.
         machine: Declared machine.
 
     Returns:
@@ -103,9 +102,6 @@ def starting_effects(rig: RandomRig, machine: Machine) -> list[AppliedEffect]:
 
 def fit_rig(rig: RandomRig) -> Fitted:
     """Fit the machine of a rig with its effect, in the steps of `identify`.
-
-    Args:
-        rig: The rig.
 
     Returns:
         The fit and the runs that it used.

@@ -76,9 +76,6 @@ def rate(run: Callable[[], None], least_s: float = 0.2) -> float:
 def errors(machine: Machine) -> dict[str, Any]:
     """Compare derivatives of episodes of five periods in motion with central differences.
 
-    Args:
-        machine: Machine of all stages.
-
     Returns:
         Median and largest relative error, and the fraction of comparisons with an error below 1e-6.
     """

@@ -71,9 +71,6 @@ def cases() -> dict[str, Case]:
 def measure(session: Session) -> dict[str, Any]:
     """Identify a rig and compare its formulas with its table.
 
-    Args:
-        session: Recorded rig.
-
     Returns:
         The right table and the identified ones, their mean error on the held-out runs in units of the noise,
         and the recommended formula with its error; times, s.

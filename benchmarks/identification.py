@@ -66,7 +66,6 @@ def identify_case(case: Case, folder: str, key: str, resume: bool) -> Row:
     """Return the row of one rig, from the cache if it is valid.
 
     Args:
-        case: The rig.
         folder: Folder of the recorded sessions.
         key: Hash of the sources.
         resume: Whether to use the cache in spite of changed sources.

@@ -435,7 +435,6 @@ def changed_judgments(
     The new result is `UnknownEvidenceError` if a rule asks for a number that was not recorded.
 
     Args:
-        records: Recorded identifications.
         changes: Other values of fields of the criteria.
     """
     for each in records:

@@ -124,7 +124,6 @@ def code_of(section: str, page: str) -> ast.Module:
     """Return the first Python program of a section of the page.
 
     Args:
-        section: Heading of the section.
         page: Page in Markdown.
 
     Raises:
@@ -175,7 +174,6 @@ def run(section: str, steps: int, seed: int) -> dict[str, Any]:
     """Train by a program in this process and score its policy.
 
     Args:
-        section: Heading of its section.
         steps: Environment steps of the training.
         seed: Seed of PyTorch and NumPy, from which programs draw that name none.
     """

@@ -50,7 +50,6 @@ def simulate_session(machine: Machine, rows: int) -> tuple[Array, Array, Array]:
     """Simulate moves with rests between them; every second move is the reverse of the one before.
 
     Args:
-        machine: Machine to simulate.
         rows: Number of samples.
 
     Returns:

@@ -88,8 +88,6 @@ def score_rig(session: OutsideSession, result: IdentificationResult, seconds: fl
     """Return the row of a rig in the results.
 
     Args:
-        session: The recorded rig.
-        result: Result of its identification.
         seconds: Processor time of the identification, s.
     """
     rig, report = session.rig, json.loads(json.dumps(result.as_json()))
@@ -130,7 +128,6 @@ def run_rig(index: int, *, seed: int, log: bool = False) -> Row:
 
     Args:
         index: Number of the rig in the set.
-        seed: Seed of the set.
         log: Whether to print the progress of the identification.
     """
     session = draw_rig(seed, index).record()
@@ -139,11 +136,7 @@ def run_rig(index: int, *, seed: int, log: bool = False) -> Row:
 
 
 def summary(rows: list[Row]) -> Row:
-    """Count false names and right hints.
-
-    Args:
-        rows: Results by rig.
-    """
+    """Count false names and right hints."""
     return {
         "rigs": len(rows),
         "families": len({row["family"] for row in rows}),

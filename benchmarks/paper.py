@@ -42,7 +42,6 @@ def step(machine: Machine, volts: tuple[float, float], seconds: float) -> tuple[
     """Simulate a voltage step from rest at the origin.
 
     Args:
-        machine: Machine to simulate.
         volts: Voltages of motor 1 and 2, V.
         seconds: Duration, s.
 

@@ -148,8 +148,6 @@ def run_set(name: str, data: Path, *, log: bool = False) -> dict[str, Any]:
     """Identify one set.
 
     Args:
-        name: Name of the set.
-        data: Folder of the sets.
         log: Whether to print the progress of the identification, with the processor time.
 
     Returns:

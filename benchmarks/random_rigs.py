@@ -51,11 +51,7 @@ RIG_SOURCES = (
 
 
 def repeated_identification(session: RandomSession) -> tuple[Row, dict[str, float]]:
-    """Identify a rig; return the report without its duration, and the duration, s, by "wall" and "cpu".
-
-    Args:
-        session: The recorded rig.
-    """
+    """Identify a rig; return the report without its duration, and the duration, s, by "wall" and "cpu"."""
     result, seconds = _identified(session)
     return _without_duration(result), seconds
 
@@ -77,7 +73,6 @@ def run_rig(index: int, *, seed: int, closed_loop: bool, repeat: bool, log: bool
 
     Args:
         index: Number of the rig in the set.
-        seed: Seed of the set.
         closed_loop: Whether a position controller drives the rig.
         repeat: Whether to identify it a second time, with simulation code that was compiled before.
         log: Whether to print the progress of the identification.

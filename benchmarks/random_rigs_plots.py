@@ -25,7 +25,6 @@ def draw(rows: list[Row], content: dict[str, Any], set_name: str) -> None:
     """Write docs/figures/SET_*.png.
 
     Args:
-        rows: Results by rig.
         content: Summary of the results.
         set_name: Name of the results, such as random_rigs_1.
     """

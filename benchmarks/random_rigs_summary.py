@@ -24,9 +24,6 @@ _SIZES = np.geomspace(0.01, 3.0, 200)
 def summary(rows: list[Row]) -> dict[str, Any]:
     """Summarize the rows of all rigs.
 
-    Args:
-        rows: Results by rig.
-
     Returns:
         Plain data, by topic.
     """
@@ -81,9 +78,6 @@ def _durations(seconds: list[dict[str, float]]) -> dict[str, dict[str, float]]:
 
 def split_by_residue(rows: list[Row]) -> tuple[list[Row], list[Row]]:
     """Divide the rigs without effects or with library effects.
-
-    Args:
-        rows: Results by rig.
 
     Returns:
         Rigs without a residue.
@@ -151,9 +145,6 @@ def detection_sizes(rows: list[Row]) -> dict[str, Any]:
     A logistic curve over the logarithm of the size is fitted to all effects in clean rigs and rigs with a
     residue.
 
-    Args:
-        rows: Results by rig.
-
     Returns:
         By family: count, identified, half (fraction of the full size; None if all are identified), points
         (pairs of size and whether it was identified).
@@ -191,9 +182,6 @@ def _half(points: list[tuple[float, bool]]) -> float | None:
 def confusion(rows: list[Row]) -> dict[str, dict[str, int]]:
     """Count by hidden family what was named.
 
-    Args:
-        rows: Results by rig.
-
     Returns:
         Counts by hidden family and named family. An effect that was identified counts at its family. For one
         that was not, the false names of its rig count, or the verdict. The row "(not there)" counts all other
@@ -229,7 +217,6 @@ def coverage(rows: list[Row], keep: Callable[[dict[str, Any]], bool]) -> dict[st
     """Return how many true values lie inside the reported intervals.
 
     Args:
-        rows: Results by rig.
         keep: Predicate that selects intervals.
 
     Returns:
@@ -302,12 +289,7 @@ def _quantiles(values: list[float], limit: float) -> dict[str, Any]:
 
 
 def show(console: Console, content: dict[str, Any]) -> None:
-    """Print a summary.
-
-    Args:
-        console: Output.
-        content: Summary of the results.
-    """
+    """Print a summary."""
     names = Table("rigs", "count", "right", "effects", "identified", "rigs with false names")
     for name, counts in content["names"].items():
         if "rigs" in counts:

@@ -30,12 +30,7 @@ def surroundings() -> dict[str, Any]:
 
 
 def save_figure(figure: Any, path: Path) -> None:
-    """Save a matplotlib figure without a version stamp, so that equal figures give equal files, and close it.
-
-    Args:
-        figure: Figure of `matplotlib.pyplot`.
-        path: File.
-    """
+    """Save a matplotlib figure without a version stamp, so that equal figures give equal files; close it."""
     import matplotlib.pyplot as plt
 
     figure.savefig(path, dpi=150, metadata={"Software": None})

@@ -37,10 +37,7 @@ def drive(controller: Controller, rig: Rig, machine: Machine, task: Task, episod
 
     Args:
         controller: Controller with full-state feedback.
-        rig: Stage to control.
         machine: Declared machine, for the workspace and the drives' rated voltages.
-        task: Task of the episodes.
-        episodes: Number of episodes.
         seed: Seed of starts and goals.
 
     Returns:

@@ -38,8 +38,6 @@ def score_rig(
     """Return the row of a rig in the results.
 
     Args:
-        session: The recorded rig.
-        result: Result of its identification.
         seconds: Duration of the identification, s, by "wall" and "cpu".
 
     Returns:
@@ -125,7 +123,6 @@ def trace(session: RandomSession, effect: DrawnEffect) -> float | None:
     current at which a drive saturates. What other parameters could make up for is not subtracted.
 
     Args:
-        session: The recorded rig.
         effect: One of its hidden effects.
 
     Returns:
@@ -159,8 +156,6 @@ def simulation_error(machine: Machine, recording: Recording, updates: int = 1) -
     """Simulate a machine over a recording as `hframe simulate` does, from the measurements at rest.
 
     Args:
-        machine: Machine to simulate.
-        recording: The run.
         updates: How many times the controller changes the voltages from one row to the next.
 
     Returns:
@@ -179,8 +174,6 @@ def root_mean_square(
     """Return the error of a machine on some runs.
 
     Args:
-        machine: Machine to simulate.
-        recordings: The runs.
         updates: Changes of the voltages from one row to the next, by the name of the run. Default: one.
 
     Returns:
@@ -194,10 +187,6 @@ def root_mean_square(
 
 def unseen_errors(machine: Machine, unseen: Sequence[Recording]) -> dict[str, float]:
     """Return the error of a machine on the unseen runs, in multiples of the sensors' noise.
-
-    Args:
-        machine: Machine to simulate.
-        unseen: The runs.
 
     Returns:
         Mean over the channels, and the worst channel.

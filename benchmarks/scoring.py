@@ -59,10 +59,6 @@ def classify(case: Case, verdict: str, named: list[str]) -> str:
 def score_session(session: Session, answer: IdentificationResult) -> dict[str, Any]:
     """Return a row of results: hidden and identified effects, errors on held-out runs, computing time.
 
-    Args:
-        session: The recorded rig.
-        answer: Result of its identification.
-
     Returns:
         Plain data.
     """
@@ -191,8 +187,6 @@ def score_names(hidden: Sequence[DrawnEffect], verdict: str, named: Mapping[str,
     verdict is `unexplained` and nothing else is named.
 
     Args:
-        hidden: Hidden effects.
-        verdict: The identification's verdict.
         named: Rivals that the identification lists, by label of the named effect.
 
     Returns:

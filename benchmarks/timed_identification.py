@@ -24,7 +24,6 @@ def timed_identification(
     """Identify a machine.
 
     Args:
-        recordings: Runs of the machine.
         machine: The machine as declared.
         log: Whether to print the progress.
         held_out: Names of the runs to evaluate on; empty for the default.

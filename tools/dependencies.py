@@ -154,9 +154,6 @@ def find_problems(
 def license_of(distribution: metadata.Distribution) -> str:
     """Return the license that a package declares.
 
-    Args:
-        distribution: Installed distribution.
-
     Returns:
         SPDX expression, where the package states one or its text is known; else the declared text, "unknown"
         if none.

@@ -37,10 +37,6 @@ _LINK = re.compile(r"(!?)\[([^\]]+)\]\((?!https?:|#|mailto:)([^)#\s]+)(#[^)\s]*)
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages that are not files of docs/ (MkDocs event).
 
-    Args:
-        files: Files of the site.
-        config: Configuration of the site.
-
     Returns:
         The same files and the added ones.
     """
@@ -55,9 +51,6 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
     Args:
         markdown: Text of a page.
-        page: The page.
-        config: Configuration of the site.
-        files: Files of the site.
 
     Returns:
         The text with links that stay inside the site.

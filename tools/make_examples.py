@@ -79,7 +79,6 @@ def measure(positions: Array, rng: np.random.Generator) -> Array:
 
     Args:
         positions: Coordinates x, y, phi1, phi2, m and rad, shape (n, 4).
-        rng: Source of the noise.
 
     Returns:
         Measurements phi1, phi2, x, y, rad and m, shape (n, 4).

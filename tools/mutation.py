@@ -136,7 +136,6 @@ def mutants_of(file: str, text: str, functions_only: bool) -> list[Mutant]:
 
     Args:
         file: Path relative to the repository.
-        text: Text of the file.
         functions_only: Whether to leave out what is outside functions (the declaration of an effect's
             parameters).
 
@@ -262,7 +261,6 @@ def run_tests(folder: Path, tests: Sequence[str], *, cached: bool = True) -> boo
 
     Args:
         folder: Copy of the repository.
-        tests: Test files.
         cached: Whether the compiled Python files of the tree exist already; otherwise they are written.
 
     Returns:

@@ -267,7 +267,6 @@ def screenshot(browser: str, address: str, path: Path, size: tuple[int, int]) ->
 
     Args:
         browser: Path of the browser.
-        address: Address of the page.
         path: PNG file.
         size: Width and height of the window, pixels.
 

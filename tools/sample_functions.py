@@ -26,8 +26,6 @@ def draw(root: Path, seed: int, count: int) -> list[Function]:
 
     Args:
         root: Repository with the folders hframe_gym/ and agents/.
-        seed: Seed of the draw.
-        count: Number of functions.
 
     Returns:
         The functions, in the order of the draw.
@@ -82,7 +80,6 @@ def describe(function: Function, *, root: Path = ROOT, source: bool = False) -> 
     """Format a function for the reader.
 
     Args:
-        function: Function to print.
         root: Repository that contains its file.
         source: Whether to print the complete source instead of signature and docstring.
 

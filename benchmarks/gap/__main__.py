@@ -34,7 +34,6 @@ def run(name: str, seed: int, indices: list[int], out: Path, cache: Path = CACHE
 
     Args:
         name: Name of the entry.
-        seed: Seed of the plants.
         indices: Numbers of the plants.
         out: Folder of the result file.
         cache: Folder of identified machines and trained agents.
@@ -68,7 +67,6 @@ def compute_bounds(seed: int, indices: list[int]) -> None:
     """Compute the bounds of plants that have none, and write them after every plant.
 
     Args:
-        seed: Seed of the plants.
         indices: Numbers of the plants.
     """
     rows = bounds.rows(seed)

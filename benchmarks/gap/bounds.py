@@ -34,9 +34,6 @@ FOLDER = Path(__file__).parent / "bounds"
 def stored_bounds(seed: int) -> dict[int, Array]:
     """Load the shortest possible times of a set of plants.
 
-    Args:
-        seed: Seed of the plants.
-
     Returns:
         Times of the moves, s, NaN where unknown, shape (B,), by the number of the plant.
     """
@@ -45,9 +42,6 @@ def stored_bounds(seed: int) -> dict[int, Array]:
 
 def rows(seed: int) -> list[dict[str, Any]]:
     """Load what `compute` has returned for a set of plants.
-
-    Args:
-        seed: Seed of the plants.
 
     Returns:
         Results by plant; empty if there are none.
@@ -60,7 +54,6 @@ def compute(plant: GapPlant, start: Array, goal: Array) -> dict[str, Any]:
     """Compute the bounds of the first `MOVES` moves on a plant.
 
     Args:
-        plant: The plant.
         start: Starts, m, shape (B, 2).
         goal: Goals, m, shape (B, 2).
 
@@ -110,7 +103,6 @@ def write(seed: int, plants: list[dict[str, Any]]) -> None:
     """Write the bounds of a set of plants.
 
     Args:
-        seed: Seed of the plants.
         plants: Results of `compute`.
     """
     lines = ",\n".join(json.dumps(row) for row in sorted(plants, key=lambda row: row["plant"]))

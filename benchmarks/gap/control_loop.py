@@ -60,7 +60,6 @@ def starts_of(task: Task, seed: int, count: int) -> Starts:
     """Draw the starts and goals of episodes.
 
     Args:
-        task: Task.
         seed: Seed of the draws.
         count: Number of episodes.
 
@@ -78,9 +77,7 @@ def control(controller: Controller, plant: GapPlant, task: Task, starts: Starts,
     Args:
         controller: Controller on the measurements `observation` (x, y, m, phi1, phi2, rad, shape (B, 4)),
             `achieved_goal` (measured x and y), `desired_goal` and, for a moving goal, `preview`.
-        plant: The plant.
         task: Task, with one previewed goal per control period.
-        starts: Starts and plans.
         seed: Seed of the sensors' noise.
 
     Returns:

@@ -86,7 +86,6 @@ class GapEntry(ABC):
         """Prepare for the control of a plant.
 
         Args:
-            declared: Declared machine.
             recorder: Recorder of the plant; it refuses on the zero-shot and the online track.
             folder: Folder of the plant, in which results of long work may be kept under the name of the
                 entry.
@@ -95,9 +94,6 @@ class GapEntry(ABC):
     @abstractmethod
     def controller(self, task: Task) -> Controller:
         """Return the controller of a task, for any number of episodes at once.
-
-        Args:
-            task: Task of the episodes.
 
         Returns:
             Controller from the measurements x, y, m, phi1, phi2, rad.
@@ -133,11 +129,7 @@ class GapEntry(ABC):
 
 
 def sha256_of(entry: type[GapEntry]) -> str:
-    """Return a hash of what determines an entry: name, source of its classes, and its files.
-
-    Args:
-        entry: Class of the entry.
-    """
+    """Return a hash of what determines an entry: name, source of its classes, and its files."""
     digest = hashlib.sha256(entry.name.encode())
     for base in entry.__mro__:
         if issubclass(base, GapEntry) and base is not GapEntry and not base.__dict__.get("generated"):

@@ -52,8 +52,6 @@ def identified(recordings: Sequence[Recording], declared: Machine, folder: Path)
     """Identify a plant, or load what an earlier call has identified from equal recordings.
 
     Args:
-        recordings: Runs of the plant.
-        declared: Declared machine.
         folder: Folder of the identification; made if it does not exist.
 
     Returns:

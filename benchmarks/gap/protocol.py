@@ -73,7 +73,6 @@ def starts(plant: GapPlant, part: str) -> Starts:
     """Return the starts and goals of a part on a plant.
 
     Args:
-        plant: The plant.
         part: "reach", "circle" or "square".
 
     Returns:
@@ -153,7 +152,6 @@ def score(
 
     Args:
         entry: New object of the entry.
-        plant: The plant.
         folder: Folder of the plant, in which entries keep identified machines and trained agents.
         known: Results of other entries by plant and key (`GapEntry.key`), which are not computed again.
 
@@ -270,7 +268,6 @@ def score_plants(
 
     Args:
         make: Returns a new object of the entry, one per plant.
-        seed: Seed of the set of plants.
         indices: Numbers of the plants.
         folder: Folder of all plants.
         done: Results by the number of the plant, of an earlier run.

@@ -38,13 +38,7 @@ DECIDES = {"reach": SETTLED, "circle": "path_rms_mm", "square": "path_rms_mm"}
 
 
 def new_content(name: str, entry: type[GapEntry], seed: int) -> dict[str, Any]:
-    """Return the content of a file without plants.
-
-    Args:
-        name: Name of the entry.
-        entry: Its class.
-        seed: Seed of the plants.
-    """
+    """Return the content of a file without plants."""
     return {
         "schema": SCHEMA,
         "protocol": NAME,
@@ -76,7 +70,6 @@ def write(path: Path, content: dict[str, Any]) -> None:
     """Write a result file, completely or not at all.
 
     Args:
-        path: The file.
         content: Its content; the checksum is added.
     """
     ordered = dict(content, plants=sorted(content["plants"], key=lambda row: row["plant"]))
@@ -94,9 +87,6 @@ def _checksum(content: dict[str, Any]) -> str:
 
 def read(path: Path) -> dict[str, Any]:
     """Read a result file and check it.
-
-    Args:
-        path: The file.
 
     Returns:
         Its content.

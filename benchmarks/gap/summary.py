@@ -23,9 +23,6 @@ Files = dict[str, list[dict[str, Any]]]  # result files by the name of the entry
 def read_all(folder: Path) -> dict[str, dict[str, Any]]:
     """Read all result files of a folder.
 
-    Args:
-        folder: The folder.
-
     Returns:
         Contents by the name of the entry.
     """

@@ -101,10 +101,8 @@ def picture(
 
     Args:
         name: Name of the machine.
-        title: Title of the figure.
         panels: Label of the ordinate, abscissa, and curves by name, one per panel.
         console: Output for the message that matplotlib is missing.
-        abscissa: Label of the abscissa.
     """
     try:
         from matplotlib.figure import Figure
@@ -133,7 +131,6 @@ def errors_by_machine(
     """Return the errors of the declared, the refitted and the identified machine.
 
     Args:
-        answer: Result of the identification.
         measure: Function that returns the errors of a machine by set of records.
 
     Returns:

@@ -38,7 +38,6 @@ class LogChart:
         """Draw the columns of a log, nothing if it has none.
 
         Args:
-            view: The log.
             intervals: Parts of it that are marked.
             selectable: Whether the mouse can select an interval; not where the curves are over row numbers.
         """

@@ -205,9 +205,7 @@ def _write_rig(
     """Write the files of a result to a folder; an error in report.html is returned, so the others are kept.
 
     Args:
-        result: Result of the identification.
         findings: What was found in the recordings before the fit.
-        runs_dir: Folder of the recordings.
         folder: Folder to write; of a worker, a temporary one.
         out: Folder in which the user finds the files, as the page names it.
         log: Called with a line of text.

@@ -20,7 +20,6 @@ def longest_delay(
     """Return the longest delay, s, that a component can have within its effects' bounds; 0 without such.
 
     Args:
-        machine: Machine with its effects.
         components: Names of drives or channels of sensors.
         hook: Formula of the effects: "delay" of drives, "measurement_delay" of sensors.
     """

@@ -72,8 +72,8 @@ class GainsExporter(MachineExporter):
             "measured velocity (for a moving goal: minus the goal's velocity); voltages = (V/N of each drive "
             "and axis) times the forces; the integrators hold while a voltage exceeds its limit",
             "pid": "voltage = sum of gain times (goal - state) over positions and velocities of all "
-            "coordinates, plus the feedforward of friction (hframe export c); goal: the position at rest with "
-            "unstretched belts",
+            "coordinates, plus the feedforward of friction (hframe export c); goal: the position at rest "
+            "with unstretched belts",
         }
         header = self.header(
             machine,

@@ -37,9 +37,6 @@ def linear_coordinates(machine: Machine) -> NDArray[np.bool_]:
 def rigid_basis(machine: Machine) -> Array:
     """Return a basis of the rigid motions: displacements that stretch neither belts nor springs.
 
-    Args:
-        machine: Machine with coordinates and belts.
-
     Returns:
         Displacements of the coordinates, m or rad, one rigid motion per column,
         shape (coordinates, rigid motions).

@@ -149,11 +149,7 @@ class PreparedRecording:
         return np.asarray(np.sqrt(self.weights) / self.noise)
 
     def first_rows(self, count: int) -> PreparedRecording:
-        """Return the beginning of the run.
-
-        Args:
-            count: Number of rows to keep.
-        """
+        """Return the beginning of the run."""
         return self._rows(slice(count))
 
     def last_rows(self, count: int) -> PreparedRecording:

@@ -29,7 +29,6 @@ def turned_coordinates(machine: Machine, runs: Sequence[PreparedRecording]) -> t
     Args:
         machine: Machine as declared. With belts, the direction of a coordinate depends on others, and with
             effects on sensors, their parameters would have to turn as well: none is found then.
-        runs: Prepared runs.
 
     Returns:
         Names of the coordinates; none if the motion is explained as declared, or with no directions.

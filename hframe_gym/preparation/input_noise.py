@@ -86,7 +86,6 @@ def noisy_inputs(recording: Recording, machine: Machine) -> list[int]:
 
     Args:
         recording: Run (times, s; inputs in the units of the drives' channels).
-        machine: Machine with its input channels.
 
     Returns:
         Indices of the inputs whose noise is above 5 % of their root mean square, and is not a controller's
@@ -106,7 +105,6 @@ def without_input_noise(recording: Recording, machine: Machine, log: LineLog | N
     """Average inputs that were measured with much noise over 17 ms, centered, so that nothing is delayed.
 
     Args:
-        machine: Machine with its input channels.
         log: Called with a line of text for each input that is averaged.
 
     Returns:

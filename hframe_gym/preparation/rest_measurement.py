@@ -60,9 +60,6 @@ class InitialVelocity(NamedTuple):
     def at_rest(cls, machine: Machine) -> InitialVelocity:
         """Return the initial velocity of a run that begins at rest: zero, and certain.
 
-        Args:
-            machine: Machine with the coordinates.
-
         Returns:
             Velocities, all zero, shape (coordinates,), and no errors of them, shape (0, coordinates).
         """

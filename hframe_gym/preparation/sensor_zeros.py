@@ -102,7 +102,6 @@ def max_reported_zero_means(machine: Machine, initial: InitialState, quanta: Arr
 
     Args:
         machine: Machine whose error is reported.
-        initial: Initial state of the run.
         quanta: Quantization steps of the sensors, in the sensors' units, 0 where there is none,
             shape (sensors,).
 

@@ -55,7 +55,6 @@ def protocol_section(name: str, entries: Sequence[ResultFile]) -> str:
     """Format the tables of a protocol, one per part.
 
     Args:
-        name: Name of the protocol.
         entries: Results of any protocols.
 
     Returns:
@@ -169,11 +168,9 @@ def _cells_over_seeds(
 
     Args:
         seeds: Results of the S agents.
-        part: Name of the part.
         metric: Criterion of the part.
         bounds: Shortest settling times of the draws by kind, s, shape (B,); empty for paths.
         best: Criterion of the best controller by draw, shape (B,), or None.
-        protocol: The benchmark.
     """
 
     def by_seed(name: str) -> Array:
@@ -268,7 +265,6 @@ def rerun(path: Path, name: str | None = None) -> tuple[bool, str]:
     """Run the entry of a result file again and compare every draw.
 
     Args:
-        path: Result file.
         name: Controller, agent or folder to run. Default: the file's name of the entry, as `hframe evaluate`
             takes it.
 

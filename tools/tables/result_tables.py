@@ -50,8 +50,6 @@ def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], alignment: st
     """Format a Markdown table.
 
     Args:
-        header: Titles of the columns.
-        rows: Cells of the rows.
         alignment: Alignment of all columns but the first, which is left. Default: right.
 
     Returns:

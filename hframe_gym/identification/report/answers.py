@@ -39,7 +39,6 @@ def answers(
     """Answer the five questions that a reader of the page has first.
 
     Args:
-        effects: Effects that were found.
         runs: Names of the held-out runs, the worst first.
         step: The first of the next steps, in words.
 

@@ -53,7 +53,6 @@ def build_result(
         remarks: What the user should know about the runs, one sentence each.
         differences: What differs between the runs. If that explains their error, no variable is listed on
             which the missing force depends: it would only follow what differs.
-        budget: Budget of the identification.
         unstable: Whether an unstable motion is the cause of the simulation error that is left.
     """
     evaluated = delivered.evaluated

@@ -39,7 +39,6 @@ def run_ratio(report: Report, curves: ResultCurves, run: str, stage: str = "afte
     """Return a held-out run's simulation error over the sensors' noise, root mean square over the channels.
 
     Args:
-        run: Name of the run.
         stage: Machine: "declared", "before", "after" or "plain".
 
     Returns:

@@ -62,7 +62,6 @@ def next_steps(
 
     Args:
         folder: Folder of the result that the commands name.
-        effects: Effects that were found.
         runs: Names of the held-out runs, the worst first.
 
     Returns:
