@@ -163,9 +163,6 @@ def compare(bound: Array, seed: int) -> dict[str, Any]:
     Args:
         bound: Bounds, s, shape (episodes,); NaN where unknown.
         seed: Seed of the first episode.
-
-    Returns:
-        Results by controller.
     """
     known = np.isfinite(bound)
     results: dict[str, Any] = {}

@@ -51,9 +51,6 @@ def run_rig(number: int, data: Path, *, log: bool = False) -> dict[str, Any]:
     Args:
         number: Number of the rig, from 1.
         log: Whether to print the progress of the identification, with the processor time.
-
-    Returns:
-        The row of the results, as plain data.
     """
     folder = data / f"rig_{number:02d}"
     declared = load_machine(str(folder / "machine.json"))

@@ -116,9 +116,6 @@ def trained(training: Training, machine: Machine, randomize: str, folder: Path, 
 
     Args:
         folder: Folder of the agent, with its card.
-
-    Returns:
-        The agent.
     """
     recipe, card = load_recipe(training.recipe, "reach"), folder / "card.json"
     environment = {**recipe.env, "randomize": randomize}

@@ -101,11 +101,7 @@ def starting_effects(rig: RandomRig, machine: Machine) -> list[AppliedEffect]:
 
 
 def fit_rig(rig: RandomRig) -> Fitted:
-    """Fit the machine of a rig with its effect, in the steps of `identify`.
-
-    Returns:
-        The fit and the runs that it used.
-    """
+    """Fit the machine of a rig with its effect, in the steps of `identify`."""
     declared = BUILTIN_MACHINES["hframe"]()
     recordings = [without_outliers(recording, declared) for recording in rig.record().recordings]
     kept = hold_out(recordings)

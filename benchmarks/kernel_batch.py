@@ -137,9 +137,6 @@ def interleaved(ours: Callable[[], float], theirs: Callable[[], float], repeats:
         ours: Function that returns this package's rate, 1/s.
         theirs: Function that returns the other's rate, 1/s.
         repeats: Number of pairs.
-
-    Returns:
-        The pairs of rates.
     """
     ours(), theirs()
     pairs = [(ours(), theirs()) for _ in range(repeats)]

@@ -68,9 +68,6 @@ def run_rig(number: int, *, log: bool = False) -> dict[str, Any]:
     Args:
         number: Number of the rig, from 1.
         log: Whether to print the progress of the identification.
-
-    Returns:
-        The row of the results.
     """
     declared = BUILTIN_MACHINES["hframe"]()
     answer = identify_rig(DATA / f"rig_{number:02d}", declared, TRUTH[number], log=log)

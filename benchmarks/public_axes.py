@@ -149,9 +149,6 @@ def run_set(name: str, data: Path, *, log: bool = False) -> dict[str, Any]:
 
     Args:
         log: Whether to print the progress of the identification, with the processor time.
-
-    Returns:
-        The row of the results, as plain data.
     """
     public, folder = SETS[name], data / name
     file = MACHINES / f"{public.file}.json" if public.file else folder / "machine.json"

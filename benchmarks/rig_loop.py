@@ -39,9 +39,6 @@ def drive(controller: Controller, rig: Rig, machine: Machine, task: Task, episod
         controller: Controller with full-state feedback.
         machine: Declared machine, for the workspace and the drives' rated voltages.
         seed: Seed of starts and goals.
-
-    Returns:
-        Errors of all episodes.
     """
     workspace = np.array([machine.coordinate(axis).range for axis in ("x", "y")])
     starts, plan = task.begin(workspace, np.random.default_rng(seed).random((episodes, task.draws)))

@@ -39,9 +39,6 @@ def score_rig(
 
     Args:
         seconds: Duration of the identification, s, by "wall" and "cpu".
-
-    Returns:
-        Plain data.
     """
     rig = session.rig
     report = result.as_json()
@@ -236,9 +233,6 @@ def identify_rig(
         declared: Machine to start from.
         truth: What the rig hides.
         log: Whether to print the progress of the identification, with the processor time.
-
-    Returns:
-        The answer.
     """
     recordings, unseen = (load_recordings(folder / name, declared) for name in ("runs", "unseen"))
     result, seconds = timed_identification(recordings, declared, log=log)
@@ -265,9 +259,6 @@ def survives_rated_voltage(machine: Machine) -> bool:
 
     Args:
         machine: Machine to write.
-
-    Returns:
-        True if it does.
     """
     with TemporaryDirectory() as folder:
         path = Path(folder) / "machine.json"

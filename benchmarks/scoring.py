@@ -57,11 +57,7 @@ def classify(case: Case, verdict: str, named: list[str]) -> str:
 
 
 def score_session(session: Session, answer: IdentificationResult) -> dict[str, Any]:
-    """Return a row of results: hidden and identified effects, errors on held-out runs, computing time.
-
-    Returns:
-        Plain data.
-    """
+    """Return a row of results: hidden and identified effects, errors on held-out runs, computing time."""
     case = session.case
     named = [f.effect.label for f in answer.effects]
     score = classify(case, answer.verdict, named)
@@ -188,9 +184,6 @@ def score_names(hidden: Sequence[DrawnEffect], verdict: str, named: Mapping[str,
 
     Args:
         named: Rivals that the identification lists, by label of the named effect.
-
-    Returns:
-        The score.
     """
     classes = {label: {effect_class(label), *map(effect_class, rivals)} for label, rivals in named.items()}
     all_named: set[str] = set().union(*classes.values())

@@ -219,9 +219,6 @@ def measure(root: Path = ROOT) -> House:
 
     Args:
         root: Repository with the folders hframe_gym/ and agents/.
-
-    Returns:
-        The measures.
     """
     house = House()
     for path in source_files(root):

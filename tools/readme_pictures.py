@@ -84,9 +84,6 @@ def roll_out(controller_name: str, seed: int) -> Rollout:
     Args:
         controller_name: Name for `hframe_gym.make_controller`.
         seed: Seed of the episode, which determines start and goal.
-
-    Returns:
-        Pictures and distances.
     """
     controller = hframe_gym.make_controller(controller_name)
     env = gym.make("HFrame-v0", render_mode="rgb_array", period=FRAME_S, max_episode_steps=None)

@@ -26,9 +26,6 @@ def draw(root: Path, seed: int, count: int) -> list[Function]:
 
     Args:
         root: Repository with the folders hframe_gym/ and agents/.
-
-    Returns:
-        The functions, in the order of the draw.
     """
     functions = sorted(measure(root).public_functions, key=lambda f: (str(f.path), f.name, f.node.lineno))
     return random.Random(seed).sample(functions, min(count, len(functions)))

@@ -79,9 +79,6 @@ def control(controller: Controller, plant: GapPlant, task: Task, starts: Starts,
             `achieved_goal` (measured x and y), `desired_goal` and, for a moving goal, `preview`.
         task: Task, with one previewed goal per control period.
         seed: Seed of the sensors' noise.
-
-    Returns:
-        The episodes.
     """
     rng = np.random.default_rng([plant.seed, plant.index, seed])
     machine, count = declared_machine(), len(starts.start)

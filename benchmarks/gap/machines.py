@@ -53,9 +53,6 @@ def identified(recordings: Sequence[Recording], declared: Machine, folder: Path)
 
     Args:
         folder: Folder of the identification; made if it does not exist.
-
-    Returns:
-        The machines.
     """
     note = folder / "recordings.json"
     known = json.loads(note.read_text("utf-8")) if note.is_file() else {}

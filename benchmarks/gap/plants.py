@@ -112,9 +112,6 @@ class GapPlant:
         Args:
             start_xy: Position of the carriage, m, shape (2,).
             start_s: Time on the session's clock, s.
-
-        Returns:
-            The stage.
         """
         return Stage(self.stage[0], start_xy, start_s, rtol=_RTOL, atol=_ATOL)
 

@@ -57,9 +57,6 @@ class Recorder:
             kind: One of "steps", "single" (one motor), "triangle", "multisine", "telegraph", "moves".
             start: "center", "elsewhere", or "jog": after a short motion that leaves the belts stretched.
 
-        Returns:
-            The run.
-
         Raises:
             InputError: If a name is unknown or the budget does not allow the run.
         """
@@ -83,9 +80,6 @@ class Recorder:
                 voltages of the motors, V, shape (2,); limited to 8 V. In the first 0.1 s they are 0.
             start_xy: Position at which the stage is set up, m.
             duration_s: Length of the run, s, at most 10.
-
-        Returns:
-            The run.
 
         Raises:
             InputError: If the budget does not allow the run or a voltage is not finite.
@@ -179,9 +173,6 @@ def standard_session(recorder: Recorder) -> tuple[Recording, ...]:
 
     Args:
         recorder: Recorder with its whole budget.
-
-    Returns:
-        The runs.
     """
     kinds = (*KINDS, "multisine", "steps")
     return tuple(recorder.excite(kind, STARTS[i % len(STARTS)]) for i, kind in enumerate(kinds))

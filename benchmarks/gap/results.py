@@ -88,9 +88,6 @@ def _checksum(content: dict[str, Any]) -> str:
 def read(path: Path) -> dict[str, Any]:
     """Read a result file and check it.
 
-    Returns:
-        Its content.
-
     Raises:
         InputError: If it is no result file of this protocol, was edited, or holds what is impossible.
     """
@@ -161,9 +158,6 @@ def plant_scores(content: dict[str, Any]) -> dict[int, PlantScore]:
 
     Args:
         content: Content of a result file.
-
-    Returns:
-        The scores.
     """
     bounds, scores = stored_bounds(content["seed"]), {}
     for row in content["plants"]:

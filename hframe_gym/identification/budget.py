@@ -249,9 +249,6 @@ class Budget:
             delivers: Whether fits of the stage end with their best parameters then, instead of unwinding.
             tests: Part of the budget after which the tests end that follow the stage (`expect_tests`),
                 dimensionless. Default: none follow.
-
-        Yields:
-            Nothing.
         """
         token = _ACTIVE.set(self)
         self.searching, self._part, self.delivers = True, part, delivers

@@ -51,9 +51,6 @@ def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], alignment: st
 
     Args:
         alignment: Alignment of all columns but the first, which is left. Default: right.
-
-    Returns:
-        The table as lines of text.
     """
     lines = [header, ["---", *[alignment] * (len(header) - 1)], *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)

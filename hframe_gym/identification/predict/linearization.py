@@ -45,9 +45,6 @@ def has_impacts(machine: Machine) -> bool:
 
     Args:
         machine: Machine with its effects, for example play.
-
-    Returns:
-        True if an effect makes parts collide.
     """
     return any(e.definition.impacts for e in machine.effects)
 
@@ -119,9 +116,6 @@ class ResidualModel:
 
         Args:
             theta: Dimensionless variables of the k free parameters, shape (k,); 0 gives the central values.
-
-        Returns:
-            Copy of the machine with these parameter values.
         """
         return self.machine.replace(values_at(self.free, theta))
 
