@@ -9,6 +9,7 @@ practice episode of the online track, and `controller` once per task. A class of
 | `pid`, `predictive`, `adaptive-pid`, `textbook-pid` | zero-shot | designed from the declared machine |
 | `ppo_mix`, `apg_mix`, `residual`, `sac`, ... | zero-shot | agents with laws of the declared machine |
 | `NAME-drift` | zero-shot | NAME; its state estimator also estimates slow errors of the encoders |
+| `NAME-learned` | identified | NAME, and voltages learned from the recordings (`learned_residual`) |
 | `NAME-refitted` | identified | NAME, designed from the machine whose own parameters are refitted |
 | `NAME-corrected` | identified | NAME, designed from the machine with the effects that identification found |
 | `NAME-posterior` | identified | the same; the state estimator begins with the posterior of the parameters |
@@ -32,6 +33,7 @@ import importlib
 import inspect
 import json
 import re
+import sys
 from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -57,7 +59,7 @@ from tests.reference_simulator import Array
 
 Trackname = Literal["zero-shot", "identified", "online"]
 MODELS = ("refitted", "corrected", "posterior")
-VARIANTS = ("drift", *MODELS, "online")
+VARIANTS = ("drift", "learned", *MODELS, "online")
 # Relative standard deviation, added to the posterior: what identification cannot know, such as heat and wear.
 _FLOOR = 0.02
 # PPO continues a policy with a critic of random weights. At the learning rate of `ppo_mix_reach`, 1e-3, first
@@ -129,11 +131,15 @@ class GapEntry(ABC):
 
 
 def sha256_of(entry: type[GapEntry]) -> str:
-    """Return a hash of what determines an entry: name, source of its classes, and its files."""
+    """Return a hash of what determines an entry: name, source of its classes, and its files.
+
+    Of a class in another module than this one, the source of the module counts.
+    """
     digest = hashlib.sha256(entry.name.encode())
     for base in entry.__mro__:
         if issubclass(base, GapEntry) and base is not GapEntry and not base.__dict__.get("generated"):
-            digest.update(inspect.getsource(base).encode())
+            here = base.__module__ == __name__
+            digest.update(inspect.getsource(base if here else sys.modules[base.__module__]).encode())
     for file in entry.files():
         digest.update(file.read_bytes())
     return digest.hexdigest()
@@ -485,7 +491,14 @@ def get_entry(name: str) -> type[GapEntry]:
         return _made(f"{base}-seed0-trained", TrainedAgent, recipes=TRAINED[base])
     if variant not in VARIANTS:
         base, variant = name, "declared"
-    others = {"declared": DeclaredMachine, "drift": DriftingEncoders, "online": OnlineMachine}
+    from benchmarks.gap.learned_residual import LearnedResidual
+
+    others: dict[str, type[DesignedEntry]] = {
+        "declared": DeclaredMachine,
+        "drift": DriftingEncoders,
+        "learned": LearnedResidual,
+        "online": OnlineMachine,
+    }
     machine = others.get(variant, IdentifiedMachine)
     settings = {"model": variant, "knowledge": f"{variant} machine"} if variant in MODELS else {}
     if base in CONTROLLERS:
