@@ -21,6 +21,7 @@ from .units import percent, readable_unit
 from .verdict_words import (
     dependence_sentences,
     found_effects,
+    hidden_effects,
     nearest_effects,
     undeclared_friction,
     unfinished_search,
@@ -63,7 +64,8 @@ def _wrong(saved: SavedResult) -> list[str]:
         return [f"{found_effects(report)}.", *_changes(saved)]
     if report.verdict == "no_effect":
         nothing = "No effect was found." if cause_of_remainder(report) else "No effect is missing."
-        return [nothing, *(_changes(saved) or ["No parameter differs clearly from its declared value."])]
+        changes = _changes(saved) or ["No parameter differs clearly from its declared value."]
+        return [nothing, *hidden_effects(report), *changes]
     unknown = "The model lacks something that no known effect explains."
     return [unknown, *dependence_sentences(report), *nearest_effects(report)]
 

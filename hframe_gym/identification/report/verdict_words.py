@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...effects import EFFECTS
 from ...web_page import number
-from .document import STAGES, Report, compared_machines
+from ..fit.voltage_updates import is_timing
+from .document import STAGES, Considered, Report, UnknownVoltages, compared_machines
 from .remainder import DIVERGES, cause_of_remainder, drifts, largest_position_error, remainder_in_words
 from .units import readable_unit
 
 # Fraction of the refitted machine's error below which that of the declared one is mentioned.
 _CLEARLY_BETTER = 0.9
+_HIDDEN_EFFECTS = 3  # that are listed; the page has all
 _DEVIATING = (
     "Only {} deviate{}: the other sensors agree with the simulation, "
     "although they would show an error of the motion. "
@@ -88,8 +91,22 @@ def unknown_voltages(report: Report) -> list[str]:
             if refuted
             else []
         ),
+        *_hidden_delay(report, unknown),
         *([_BY_INSTRUMENTS.format(commands)] if by_instruments else []),
         f"To find more, {advice}.",
+    ]
+
+
+def _hidden_delay(report: Report, unknown: UnknownVoltages) -> list[str]:
+    """Return a sentence about the delay of drives that passes for fewer changes; none if one was found."""
+    definitions = (EFFECTS.get(e.name) for e in report.effects)
+    if any(definition is not None and is_timing(definition) for definition in definitions):
+        return []
+    # Twice as many changes act earlier by a quarter of the row over their number.
+    delay = 0.25 * unknown.period_s
+    return [
+        f"A delay or lag of the drives of up to {1e3 * delay:.2g} ms may be missed: "
+        "it passes for half as many changes a row."
     ]
 
 
@@ -115,7 +132,9 @@ def _verdict_sentence(report: Report) -> str:
             f"{found_effects(report)}. With {pronoun}, the error on the held-out runs "
             f"{change} from {before} to {after} {unit}.{_remainder(report)}"
         )
-        return " ".join([*remainder_in_words(report), found, *unfinished_search(report)])
+        return " ".join(
+            [*remainder_in_words(report), found, *hidden_effects(report), *unfinished_search(report)]
+        )
     if report.verdict == "no_effect":
         remainder = _remainder(report)
         start = (
@@ -123,9 +142,8 @@ def _verdict_sentence(report: Report) -> str:
             "with refitted parameters, the error of the"
         )
         found = f"{start} declared model on the held-out runs is {before} {unit}.{remainder}"
-        return " ".join(
-            [found, *([] if remainder else remainder_in_words(report)), *unfinished_search(report)]
-        )
+        why = hidden_effects(report) if remainder else remainder_in_words(report)
+        return " ".join([found, *why, *unfinished_search(report)])
     text = (
         f"The error of the refitted model on the held-out runs is {before} {unit}, "
         "and no known effect explains it."
@@ -159,6 +177,34 @@ def nearest_effects(report: Report) -> list[str]:
     return (
         [f"The nearest effects of the library, which are no causes: {', '.join(labels)}."] if labels else []
     )
+
+
+def hidden_effects(report: Report) -> list[str]:
+    """Return sentences about effects that a log slower than its controller may hide, with their sizes.
+
+    They reduced the error of the fitted runs and failed a test, and those that are listed also reduce that of
+    the held-out runs. Nothing if only noise is left, or if the log contains all voltages.
+    """
+    if report.unknown_voltages is None or not cause_of_remainder(report):
+        return []
+    helpful = [c for c in report.considered if c.held_out_gain is not None and c.held_out_gain > 0.0]
+    largest = sorted(helpful, key=lambda c: -(c.held_out_gain or 0.0))[:_HIDDEN_EFFECTS]
+    texts = [_with_size(entry) for entry in largest]
+    hides = f"The log may hide {'further ' if report.effects else ''}effects in this error."
+    if not texts:
+        return [hides]
+    return [
+        f"{hides} It tells these, with about these sizes (SI units), neither from chance nor from what it "
+        f"lacks, and nothing says whether they are there: {'; '.join(texts)}."
+    ]
+
+
+def _with_size(entry: Considered) -> str:
+    """Return an effect that was rejected with its parameters and, where it has one, its force."""
+    sizes = [f"{name} = {value:.2g}" for name, value in entry.parameters.items()]
+    if entry.size:
+        sizes.append(f"{number(100.0 * entry.size)} % of the drives' force")
+    return f"{entry.name.replace('_', ' ')} at {entry.site} ({', '.join(sizes)})"
 
 
 def unfinished_search(report: Report) -> list[str]:

@@ -346,3 +346,46 @@ def test_a_slow_log_is_named_first() -> None:
     assert "log every row of the controller (every 1 ms)." in of_set_points
     assert "fit by instruments" not in sentence
     assert "fit by instruments" in sentence_about(unknown | {"fitted_by": "instruments"})
+
+
+def test_a_slow_log_tells_which_effects_it_may_hide() -> None:
+    """They are those that reduce the error of the held-out runs as well, the most helpful one first."""
+    known: dict[str, Any] = {"period_s": 1e-3, "errors": {"x_m": 3e-5}, "fitted_by": "white residual"}
+    reason = "reduces the error by no more than chance may"
+    damping = {"name": "belt_damping", "site": "belts", "parameters": {"c": 8.9e-4}, "size": 0.0052}
+    yaw = {"name": "bridge_yaw", "site": "machine", "parameters": {"J": 0.0958, "w": 0.279}, "size": None}
+    gains = {"held_out_gain": 0.038, "reason": reason}, {"held_out_gain": 0.025, "reason": reason}
+    useless = yaw | {"site": "other", "held_out_gain": -0.01, "reason": reason}
+
+    def sentence_about(**fields: Any) -> str:
+        report = report_with({"x_m": {"rmse": 1e-3, "noise_ratio": 50.0}}, verdict="no_effect", **fields)
+        return verdict_sentence(report)
+
+    considered = [useless, yaw | gains[1], damping | gains[0]]
+    slow = {"unknown_voltages": known | {"changes_per_row": 5}, "considered": considered}
+    sentence = sentence_about(left=27.0, **slow)
+    assert "are there: belt damping at belts (c = 0.00089, 0.52 % of the drives' force); " in sentence
+    assert sentence.endswith("bridge yaw at machine (J = 0.096, w = 0.28).")
+    assert sentence_about(left=27.0, **(slow | {"considered": [useless]})).endswith(
+        "The log may hide effects in this error."
+    )
+    found = report_with({}, verdict="effect_found", left=27.0, effects=[effect_entry("cogging", "x")], **slow)
+    assert "The log may hide further effects in this error." in verdict_sentence(found)
+    assert "hide" not in sentence_about(left=1.0, **slow)
+    assert "hide" not in sentence_about(left=27.0, considered=considered)
+
+
+@pytest.mark.parametrize(("effect", "hidden"), [("cogging", True), ("input_delay", False)])
+def test_a_slow_log_tells_which_delay_of_the_drives_passes_for_fewer_changes(
+    effect: str, hidden: bool
+) -> None:
+    """Twice as many changes as three in a row of 8 ms act earlier by 8 ms / 12."""
+    unknown = {
+        "changes_per_row": 3,
+        "period_s": 8e-3 / 3,
+        "errors": {"x_m": 3e-5},
+        "fitted_by": "instruments",
+    }
+    found = [effect_entry(effect, "drives")]
+    sentence = verdict_sentence(report_with(verdict="effect_found", effects=found, unknown_voltages=unknown))
+    assert ("A delay or lag of the drives of up to 0.67 ms may be missed" in sentence) == hidden
