@@ -252,7 +252,7 @@ class Agent(Controller):
 
 
 def _no_optimizer(*_: Any, **__: Any) -> None:
-    """Return None in place of an optimizer, which training uses; importing PyTorch's takes over a second."""
+    """Return None in place of an optimizer: only training uses one, and importing PyTorch's is slow."""
 
 
 def load_weights(policy: Any, folder: Path) -> None:

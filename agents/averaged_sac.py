@@ -43,7 +43,7 @@ class AveragedSAC(SAC):
 
     @property
     def evaluated_policy(self) -> Any:
-        """Policy with the averaged actor; the trained one while there is no average."""
+        """Policy with the averaged actor, or the trained policy as long as there is no average."""
         return self._averaged_policy if self.averaging and self._n_updates else self.policy
 
     @override

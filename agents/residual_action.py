@@ -231,7 +231,10 @@ class ResidualAction:
         return spaces.Dict({**observation_space.spaces, **added})
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Clear the memory of the environments in `mask`, shape (batch,); None: all, of any number."""
+        """Clear the memory of the environments in `mask`, shape (batch,).
+
+        If `mask` is None, clear all memory; the number of environments may then change.
+        """
         if self.base:
             self.base.reset(mask)
         self._starts.reset(mask)

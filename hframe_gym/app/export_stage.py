@@ -104,7 +104,7 @@ class ExportStage(Stage):
         self.refresh()
 
     def _set_option(self, name: str, value: str | None) -> None:
-        """Set an option of the command, "" for one without a value; None removes it."""
+        """Set an option of the command: "" if it takes no value, None to remove it."""
         self._options.pop(name, None)
         if value is not None:
             self._options[name] = value

@@ -142,7 +142,7 @@ def open_log(path: Path) -> Log:
 
 @lru_cache(maxsize=_FILES_KEPT)
 def _values_of(path: Path, modified: int, size: int) -> dict[str, Array]:
-    """Return the values of the columns of numbers and times of a file, by header; stamps as seconds."""
+    """Return a file's columns of numbers and times by header; time stamps are converted to seconds."""
     log = open_log(path)
     columns = [column for column in log.columns if column.kind != "text"]
     arrays: list[NDArray[Any]]
@@ -166,7 +166,7 @@ def _values_of(path: Path, modified: int, size: int) -> dict[str, Array]:
 
 
 def _times(log: Log, sources: Sequence[ChannelSource], values: dict[str, Array]) -> tuple[Array, bool]:
-    """Return the times of a log, s, from 0 if they are stamps; row numbers where they are not known."""
+    """Return the times of a log, s, or its row numbers if the times are not known; time stamps begin at 0."""
     source = next((s for s in sources if s.channel == TIME), None)
     length = max((len(array) for array in values.values()), default=0)
     rows = np.arange(length, dtype=np.float64)

@@ -184,7 +184,7 @@ def _with_linear_sensor(answers: MachineAnswers) -> MachineAnswers:
 
 
 def _is_usable(answers: MachineAnswers, log: LineLog) -> bool:
-    """Return whether the answers make a machine; otherwise say why not, without the names of options."""
+    """Return whether the answers make a machine; if not, print why, without naming options."""
     try:
         new_machine(answers.like, "template", answers.options())
     except InputError as error:

@@ -69,7 +69,10 @@ class Controller(ABC):
         """Compute the actions for the control period that starts now; call it once per period."""
 
     def reset(self, mask: Mask | None = None) -> None:  # noqa: B027  (optional)
-        """Clear the memory of machines that start an episode next; None: of all, whose number may change."""
+        """Clear the memory of the machines in `mask`, which start an episode next.
+
+        If `mask` is None, clear all memory; the number of machines may then change.
+        """
 
     def concern(self) -> str | None:
         """Return a sentence for a warning if this controller cannot be expected to work on its machine."""

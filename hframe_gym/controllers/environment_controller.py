@@ -35,7 +35,9 @@ class EnvironmentController(Controller):
 
     @override
     def act(self, observation: Any) -> NDArray[Any]:
-        """Compute the actions from an observation as the environment returns it; first axis B of a vector.
+        """Compute the actions from an observation as the environment returns it.
+
+        The arrays of a vector environment have a first axis of B environments.
 
         Returns:
             Voltages divided by the rated voltages, in [-1, 1], float32, shape (drives,) or (B, drives).

@@ -199,14 +199,14 @@ def simulate_batch(
 
 
 def _series(values: Array | None) -> Array:
-    """Return values over samples with a batch axis, shape (1 or B, N, k); none, shape (0, 0, 0), for None."""
+    """Return values over samples with a batch axis, shape (1 or B, N, k); shape (0, 0, 0) for None."""
     if values is None:
         return np.zeros((0, 0, 0))
     return _plain(values if np.ndim(values) == 3 else np.asarray(values)[None])
 
 
 def _plain(values: Array) -> Array:
-    """Return values as contiguous float64 that may be written; read-only ones are compiled for again."""
+    """Return values as contiguous, writable float64; Numba would compile again for read-only arrays."""
     return np.require(values, float, ["C", "W"])
 
 

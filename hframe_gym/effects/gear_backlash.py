@@ -19,7 +19,7 @@ _LEAST_SHARE = 0.2  # of inertia and friction that remains before the gap
 
 
 def tension(s, rate, k, d, J, Z, per_radius):  # type: ignore[no-untyped-def]
-    """Return the force of the teeth, N: k u + c u' on contact, u = s - clip(s, -d r, d r); no pull.
+    """Return the force of the teeth, N: k u + c u' on contact, u = s - clip(s, -d r, d r); they never pull.
 
     s: motor's side minus far side, m, rate: its rate, m/s, k: stiffness, N/m, d: half the gap, rad or m, J:
     inertia behind it, kg m^2, Z: damping ratio of its vibration against the teeth, per_radius: 1/r, 1/m.

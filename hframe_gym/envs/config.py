@@ -157,7 +157,7 @@ def check_render_mode(mode: str | None, modes: Sequence[str]) -> str | None:
 
 
 def as_machine(machine: MachineLike) -> Machine:
-    """Return the machine of the option `machine`; an InputError refuses unknown names, invalid values."""
+    """Return the machine of the option `machine`; an InputError refuses unknown names and invalid values."""
     if isinstance(machine, Machine):
         require_machine(machine)
         return machine

@@ -170,7 +170,7 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         return {b: seeding.np_random(seeds[b])[0] for b in index.tolist() if seeds[b] is not None}
 
     def _selected(self, mask: Any) -> Index:
-        """Return a mask's environments, all without one; raises TypeError or ValueError for invalid ones."""
+        """Return the environments of a mask, or all if it is None; an invalid mask raises an error."""
         if mask is None:
             return np.arange(self.num_envs)
         if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
@@ -353,7 +353,7 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         setattr(self, name, values)
 
     def _shared(self, name: str) -> Any:
-        """Return an attribute of one environment; raise AttributeError that says of what."""
+        """Return an attribute of one environment; the AttributeError of an unknown one names both classes."""
         if not hasattr(self, name):
             raise AttributeError(f"{type(self).__name__} and its environments have no attribute {name!r}")
         return getattr(self, f"single_{name}" if name in ("action_space", "observation_space") else name)

@@ -115,7 +115,7 @@ def next_steps(
 
 
 def worst_move(episodes: Episodes) -> str:
-    """Describe a controller's worst episode: "from (-80, 12) mm to (40, 0) mm"; its number for a path."""
+    """Describe a controller's worst episode, such as "from (-80, 12) mm to (40, 0) mm", or its number."""
     episode = int(ranked_episodes(episodes)[-1])
     if episodes.contour is not None:
         return f"episode {episode + 1}"

@@ -13,7 +13,7 @@ Result = TypeVar("Result")
 
 
 def output_folder(path: str | Path) -> Path:
-    """Return the value of the option --out, a folder that need not exist yet; InputError for a file."""
+    """Return the value of the option --out, a folder that may not exist yet; InputError if it is a file."""
     folder = Path(path)
     if folder.exists() and not folder.is_dir():
         raise InputError(f"--out {folder}: is a file, but must be a folder")

@@ -181,7 +181,7 @@ class Budget:
             raise BudgetEndedError
 
     def goes_on(self) -> bool:
-        """Return whether the present stage has time; in one that need not deliver, a lack of it raises.
+        """Return whether the present stage has time; a stage that need not deliver is ended by an exception.
 
         Raises:
             BudgetEndedError: If the time of a stage that need not deliver is used up, or the user interrupted

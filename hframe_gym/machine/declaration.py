@@ -203,7 +203,7 @@ class Component:
     @classmethod
     @cache
     def numbers(cls) -> Mapping[str, Number]:
-        """Return the declared numbers by name."""
+        """Return the declarations of the attributes that are numbers, by name."""
         declared = {name: attribute.declared for name, attribute in cls.attributes().items()}
         return {name: number for name, number in declared.items() if isinstance(number, Number)}
 

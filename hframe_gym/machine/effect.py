@@ -320,7 +320,7 @@ class Effect:
             )
 
     def __hash__(self) -> int:
-        """Return a hash of the name; all formulas' would take longer than to find a machine's code."""
+        """Return a hash of the name: hashing all formulas would take longer than finding a machine's code."""
         return hash(self.name)
 
     def parameter(self, name: str) -> EffectParameter:

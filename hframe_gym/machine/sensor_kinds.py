@@ -62,12 +62,12 @@ class SensorKind:
 
     @classmethod
     def quantity(cls) -> SensorQuantity:
-        """Return the quantity to which the kind responds, the argument of `signal`; ValueError for none."""
+        """Return the quantity to which the kind responds, the argument of `signal`; ValueError if none."""
         return _quantity_of(cls.signal)
 
     @classmethod
     def has_direction(cls) -> bool:
-        """Return whether a motion and its reverse have different ideal measurements; absolute ones agree."""
+        """Return whether ideal measurements tell a motion from its reverse, unlike an absolute value."""
         return bool(cls.signal(-1.0) != cls.signal(1.0))
 
     @staticmethod

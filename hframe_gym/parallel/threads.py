@@ -53,7 +53,7 @@ def single_threaded_linear_algebra() -> Iterator[None]:
 
 @lru_cache(maxsize=1)
 def _linear_algebra_threads() -> ThreadpoolController:
-    """Return the control of the threads; finding the libraries, loaded before, takes milliseconds."""
+    """Return the control of the threads of loaded libraries; finding them takes milliseconds."""
     import scipy.linalg  # noqa: F401  # has a library of its own
     from threadpoolctl import ThreadpoolController
 

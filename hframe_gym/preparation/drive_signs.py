@@ -31,7 +31,7 @@ def turned_coordinates(machine: Machine, runs: Sequence[PreparedRecording]) -> t
             effects on sensors, their parameters would have to turn as well: none is found then.
 
     Returns:
-        Names of the coordinates; none if the motion is explained as declared, or with no directions.
+        Names of the coordinates; none if the declared directions explain the motion, or if no directions do.
     """
     driven = tuple(dict.fromkeys(d.coordinate for d in machine.drives))
     of_sensors = any(e.definition.site == "sensor" for e in machine.effects)

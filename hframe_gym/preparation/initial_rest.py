@@ -173,7 +173,7 @@ def without_moving_start(
 
 
 def _rows_without_input(recording: Recording) -> int:
-    """Return the number of rows up to an input's first change, at least 1; 1 if one begins nonzero."""
+    """Return the number of rows up to an input's first change; 1 if an input begins nonzero."""
     changes = np.flatnonzero(np.any(recording.inputs != recording.inputs[0], axis=1))
     if np.any(recording.inputs[0]):
         return 1  # The machine is driven from its first row on; only that row is certainly at rest.

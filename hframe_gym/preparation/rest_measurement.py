@@ -258,7 +258,7 @@ def _measurement_at_rest(values: Array, resting_rows: int, sensor: Sensor) -> fl
 
 
 def _zeros_by_command(recording: Recording, machine: Machine, resting_rows: int) -> Array:
-    """Return each encoder's zero on a coordinate of commanded position, shape (sensors,); else 0.
+    """Return the zeros of the encoders on coordinates whose position is commanded, shape (sensors,); else 0.
 
     At rest the coordinate is where its command holds it. A run that begins in motion follows its command with
     a lag, so that its zero is known only where encoder and command are further apart than they move against

@@ -68,7 +68,7 @@ def exact_quantum(values: Array, declared: float = 0.0) -> float:
 
 
 def _fitted_quantum(distances: Array, quantum: float) -> float:
-    """Return the quantum of ascending distances from the lowest level; 0 if they are no multiples of it."""
+    """Return the quantum that divides ascending distances from the lowest level; 0 if none does."""
     span = _REFINEMENT * quantum
     while True:
         near = distances[distances <= span]

@@ -196,7 +196,7 @@ def recording_from_columns(path: Path, columns: Mapping[str, Array], machine: Ma
 
 
 def _voltages(path: Path, columns: Mapping[str, Array], drive: Drive) -> Array:
-    """Return a drive's commands, in the unit of simulations; a duty cycle times the supply voltage is one."""
+    """Return a drive's commands in the unit of simulations: a duty cycle becomes a voltage of the supply."""
     values = columns[drive.channel]
     if not DRIVE_KINDS.get(drive.kind).fraction:
         return values

@@ -115,7 +115,7 @@ def find_wrap(values: Array, moduli: Mapping[float, str]) -> Wrap | None:
 
 
 def _motion_around(changes: Array, jump: int, extent: float) -> float:
-    """Return the median of the regular changes around a jump; 0 if few or of mixed direction."""
+    """Return the median of the regular changes around a jump; 0 if they are few or differ in direction."""
     near = changes[max(jump - _NEIGHBORS, 0) : jump + _NEIGHBORS + 1]
     regular = near[np.abs(near) <= _JUMP * extent]
     moves = len(regular) >= _NEIGHBORS and abs(int(np.sign(regular).sum())) == len(regular)

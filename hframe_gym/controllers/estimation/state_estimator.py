@@ -182,7 +182,9 @@ class StateEstimator:
         return np.flatnonzero(np.any(self.measurements.matrix[:, beside] != 0.0, axis=1))
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Discard the estimates of machines that start an episode next; None: of all, whose number may vary.
+        """Discard the estimates of the machines in `mask`, which start an episode next.
+
+        If `mask` is None, discard all estimates; the number of machines may then change.
 
         Their new estimates start from a machine at rest with the declared parameters.
         """

@@ -117,7 +117,7 @@ class SymbolicModel:
         return excess
 
     def _point(self, state: Any, time: Any) -> MotionPoint:
-        """Return a point of the motion; effects that integrate displacement have it since the start."""
+        """Return a point of the motion, at which integrated displacements are those since the start."""
         equations, n = self._equations, self._count
         travel = ca.vertsplit(state[:n])
         states = {}
@@ -184,7 +184,10 @@ def _integrates_displacement(effect: AppliedEffect) -> bool:
 
 
 def _has_kink(hook: Hook) -> bool:
-    """Return whether a hook's formula switches between branches; |x| does not count: it occurs as x |x|."""
+    """Return whether a hook's formula switches between branches; 
+
+    x| is none, because it occurs as x |x|.
+    """
     symbols = [ca.SX.sym(name) for name in argument_names(hook)]
     formula = ca.Function("hook", symbols, [ca.SX(hook(*symbols))])
     return any(formula.instruction_id(k) in SWITCHING_OPERATIONS for k in range(formula.n_instructions()))

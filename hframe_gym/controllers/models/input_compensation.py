@@ -174,7 +174,7 @@ class InputInversion:
         return np.clip(self._mapped(motor_voltage, inverse=True), -self.rated, self.rated)
 
     def _mapped(self, volts: Array, *, inverse: bool) -> Array:
-        """Return motor voltages for commands, or vice versa, (B, drives), V; equal without a table."""
+        """Return motor voltages for commands, or vice versa, (B, drives), V; unchanged without a table."""
         mapped = volts.copy()
         for j, (command, motor) in self._tables.items():
             x, y = (motor, command) if inverse else (command, motor)

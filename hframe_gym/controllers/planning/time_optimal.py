@@ -130,7 +130,7 @@ class TimeOptimalReach:
         return max(LARGEST_TRAVEL_M, 2.0 * reach), max(LARGEST_SPEED, 2.0 * max(no_load, default=0.0))
 
     def _grid(self, duration: Any) -> list[tuple[Any, Any]]:
-        """Return begin and length of the collocation intervals, s; the voltages change with each."""
+        """Return begin and length of each collocation interval, s, in which the voltages are constant."""
         moving, holding = self.intervals
         motion = [(k * (duration / moving), duration / moving) for k in range(moving)]
         return motion + [(duration + k * (HOLD_S / holding), HOLD_S / holding) for k in range(holding)]

@@ -24,7 +24,7 @@ def compiled_only(function: Function) -> Function:
 
 
 def compiled(function: Function) -> Function:
-    """Compile a function with Numba, cache it on disk; calls release Python's interpreter lock."""
+    """Compile a function with Numba and cache it on disk; its calls release Python's interpreter lock."""
     config: Any = numba.config
     compile_cached = _njit(nogil=True, cache=True, error_model="numpy")
     try:
@@ -50,7 +50,7 @@ class _Notice(event.Listener):
         self._depth += 1
 
     def on_end(self, happened: Any) -> None:
-        """Give the notice once enough time has passed; a function compiles those it calls in its own time."""
+        """Give the notice once enough time has passed; nested compilations count once."""
         self._depth -= 1
         passed = self._total + time.perf_counter() - self._since
         if self._depth == 0:

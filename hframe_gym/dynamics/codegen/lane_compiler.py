@@ -86,7 +86,10 @@ def _syntax_tree(function: Callable[..., Any]) -> ast.FunctionDef:
 
 @lru_cache(maxsize=1024)
 def _vector_constant(number: str, lanes: int) -> ir.Constant:
-    """Return a number, in hexadecimal as 0.0 equals -0.0, in all lanes; its long text is composed once."""
+    """Return a number in all lanes; composing its long text takes time, so it is kept.
+
+    The number is given in hexadecimal, because 0.0 and -0.0 would be the same key.
+    """
     element = ir.Constant(_F64, float.fromhex(number))
     return ir.Constant(ir.VectorType(_F64, lanes), [element] * lanes)
 

@@ -102,7 +102,7 @@ class ReverseTrace(Trace):
 
     @override
     def node(self, operation: str, *operands: Any) -> Expression:
-        """Return the expression of an operation, as in `Trace`; friction formulas become their operations."""
+        """Return the expression of an operation, as in `Trace`; formulas of friction are expanded."""
         if operation in _EXPANDED:
             value: Expression = _EXPANDED[operation](*operands)
             return value
@@ -252,7 +252,7 @@ class ReverseTrace(Trace):
         adjoint: dict[Expression, Expression],
         active: set[Expression],
     ) -> list[tuple[Expression, Expression]]:
-        """Append a block with the branch's derivatives; return what they add, by expression before it."""
+        """Append a block with a branch's derivatives; return what it adds to those of earlier expressions."""
         seeds = [adjoint.pop(result, None) for result in guard.results]
         skipped: dict[Expression, Expression] = {}  # derivatives if the branch is not taken
         taken: dict[Expression, Expression] = {}

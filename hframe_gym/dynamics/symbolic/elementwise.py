@@ -110,12 +110,12 @@ def sign(x: Any) -> Any:
 
 
 def minimum(a: Any, b: Any) -> Any:
-    """Return the smaller of two values; if one is NaN, NumPy returns NaN, a simulation kernel b."""
+    """Return the smaller of two values. If one is NaN, arrays give NaN, and a simulation kernel gives `b`."""
     return _apply("minimum", a, b)
 
 
 def maximum(a: Any, b: Any) -> Any:
-    """Return the larger of two values; if one is NaN, NumPy returns NaN, a simulation kernel b."""
+    """Return the larger of two values. If one is NaN, arrays give NaN, and a simulation kernel gives `b`."""
     return _apply("maximum", a, b)
 
 

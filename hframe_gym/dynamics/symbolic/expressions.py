@@ -195,7 +195,10 @@ def simplified(operation: str, values: tuple[Expression, ...]) -> Expression | N
 
 
 def function_source(trace: Recorder) -> str:
-    """Write a function's source text for `lane_compiler`; a RuntimeError if it uses an old value."""
+    """Write the source text of a traced function, which `lane_compiler` compiles.
+
+    A RuntimeError refuses a function that uses the value of a variable from before an assignment.
+    """
     return "\n".join([f"def {trace.signature}:", *_Writer(trace.statements, trace.names).lines]) + "\n"
 
 

@@ -175,7 +175,7 @@ class FormulaEffect:
         return EffectParameter(name, unit, lower, _LARGE, scale, tuple(map(_rounded, grid)))
 
     def _variable_unit(self) -> tuple[str, str]:
-        """Return the variable's unit; and "position" or "speed" where the site has the same unit, else ""."""
+        """Return the variable's unit and, if it is also the site's unit, "position" or "speed", else ""."""
         variable, coordinate = self._variable
         if variable == "time":
             return "s", ""

@@ -199,7 +199,7 @@ def _normals(noise: Any, keys: Any, elapsed: Any, first: int, last: int) -> Any:
 def _next_normals(
     noise: Any, keys: Any, elapsed: Any, channel: int, normals: Any, spares: Any, has_spare: Any
 ) -> bool:
-    """Write a normal number per environment to normals (k,) if the sensor has noise (k,); return whether so.
+    """Write a normal number per environment to normals (k,); return False if no sensor has noise (k,).
 
     Normal numbers come in pairs. The second of a pair, in spares (k,) where has_spare (k,), is for the next
     sensor with noise of the environment.

@@ -113,7 +113,7 @@ class Sensors(SensorSuite):
 
     @override
     def apply(self, machine: Machine) -> Machine:
-        """Let lasers measure x and y, and encoders the driven coordinates; other such sensors are replaced.
+        """Let lasers measure x and y, and encoders the driven coordinates, in place of the declared ones.
 
         Raises:
             InputError: If a drive acts on x or y itself, which would then have both a laser and an encoder.

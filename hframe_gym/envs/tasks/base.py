@@ -270,7 +270,10 @@ class ReferenceTrajectories:
                 observation["preview"][index] = previews
 
     def path(self, b: int, elapsed_s: Array) -> NDArray[np.float32]:
-        """Compute goals of environment b at `elapsed_s`, s, shape (n,): m, (n, axes); (0, axes) at rest."""
+        """Compute the goals of environment b at times `elapsed_s`, s, shape (n,).
+
+        They are in m, of shape (n, axes), or (0, axes) if the goal is at rest.
+        """
         if not self.moving:
             return np.zeros((0, self._fixed_goals.shape[1]), np.float32)
         return self._task.goal(self._plans[b : b + 1], elapsed_s[None])[0].astype(np.float32)

@@ -48,7 +48,7 @@ class _Forces:
         self.forces = np.zeros((self.batch.count, len(wanted)))
 
     def seed(self, seed: Any) -> None:
-        """Begin the random numbers of a seed: integer, or list of integers and None; None continues."""
+        """Begin the random numbers of a seed: integer, or list of integers and None; with None they go on."""
         if seed is not None:
             numbers = [0 if s is None else int(s) for s in np.atleast_1d(np.asarray(seed, dtype=object))]
             self._generator = np.random.default_rng([_STREAM, *numbers])

@@ -152,7 +152,7 @@ def inseparable_parameters(machine: Machine, declared: Machine) -> tuple[Insepar
 
 
 def _prior_std(machine: Machine, declared: Machine) -> dict[str, float]:
-    """Return the prior's standard deviation of identified parameters, in their units; 0: do not compare."""
+    """Return the prior's standard deviation of identified parameters, in their units; 0 for none."""
     declared_free = {f.name: f for f in default_free_parameters(declared)}
     parameters = {
         f"{e.label}.{p.name}": (p.role, bool(e.definition.against))

@@ -159,7 +159,10 @@ class IdentificationResult:
 
     @property
     def deviating_sensors(self) -> tuple[str, ...]:
-        """Sensors that deviate alone; without a name, of the refit, as a description hides the place."""
+        """Sensors that deviate alone from the delivered machine, or from the refitted one if unexplained.
+
+        The description of an unexplained error would hide where it comes from.
+        """
         return (self.before if self.verdict == "unexplained" else self.after).deviating_sensors
 
     @property

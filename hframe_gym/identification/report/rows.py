@@ -114,7 +114,7 @@ def effect_rows(report: Report, machine: Machine) -> list[EffectRow]:
 
 
 def _gain_sentence(gain: float) -> str:
-    """Return what an effect does to the squared error of the held-out runs; a negative gain raises it."""
+    """Say how an effect changes the squared error of the held-out runs; a negative gain increases it."""
     if gain < 0.0:
         return f"It increases the squared error of the held-out runs by {-100 * gain:.3g} %."
     return f"It removes {percent(gain)} % of the squared error of the held-out runs."

@@ -51,7 +51,7 @@ class LogColumn:
 
     @property
     def meaning(self) -> Meaning:
-        """Physical quantity of the column by its name and unit; that of the first term of a sum."""
+        """Physical quantity of the column by its name and unit; of a sum, that of its first term."""
         if self.terms:
             return self.in_file[0].meaning
         if self.kind == "stamp":
@@ -154,7 +154,7 @@ class Log:
         return ()
 
     def columns_named_like(self, channel: str) -> list[LogColumn]:
-        """Find the column whose header is a channel, such as "x_m"; else all with its name without unit."""
+        """Find the column with a channel as header, such as "x_m", or all with its name without the unit."""
         name = plain_name(split_unit(channel)[0])
         named = [column for column in self.columns if plain_name(column.name) == name]
         return [column for column in self.columns if column.header == channel] or named
@@ -166,7 +166,7 @@ def plain_name(name: str) -> str:
 
 
 def headers_text(columns: Sequence[LogColumn]) -> str:
-    """List columns' headers, for messages, with units from a row of units; beyond 200, their number."""
+    """List the headers of columns, with the units of a row of units, for messages; beyond 200, count them."""
     listed = [
         c.header if c.name != c.header or not c.unit else f"{c.header} [{c.unit}]" for c in columns[:_LISTED]
     ]

@@ -80,7 +80,7 @@ def _times(count: int) -> str:
 
 
 def _continued(times: Array, modulus: float, longest: float | None) -> tuple[Array, int]:
-    """Return times without their starts anew, and the number of these; the same times if there are none."""
+    """Return times that go on where the clock began anew, and how often it did; unchanged if it never did."""
     present = np.isfinite(times)
     steps = np.diff(times[present])
     back = steps < 0.0

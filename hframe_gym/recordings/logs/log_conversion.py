@@ -159,7 +159,7 @@ class LogConverter:
     def _columns(
         self, log: Log, sources: Sequence[ChannelSource], by_header: Values, remarks: list[str]
     ) -> tuple[Array, dict[str, Array]]:
-        """Return times, s, and the values of each channel in its unit; append remarks, empty `by_header`."""
+        """Return times, s, and values of each channel in its unit; append remarks, and empty `by_header`."""
         times = [source for source in sources if source.channel == TIME and source.column is not None]
         tables = [self._table(log, time, sources, by_header, remarks) for time in times]
         if self.day is not None and any(

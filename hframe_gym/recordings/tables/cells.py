@@ -28,7 +28,7 @@ _TIME_STAMP = re.compile(rf"(?:{_DATE}[T ]+)?\d{{1,2}}:\d\d:\d\d(?:[.,]\d+)?(?:Z
 
 
 def split_row(line: str, separator: str) -> list[str]:
-    """Split a line into cells, without blanks and quotation marks around them; blanks separate like one.
+    """Split a line into cells without blanks and quotation marks around them; several blanks separate as one.
 
     A separator between quotation marks does not split a cell. If the separator is a blank, however, quotation
     marks have no effect and are kept.

@@ -116,7 +116,7 @@ def _names_and_units(above: Sequence[_LineAbove]) -> tuple[_LineAbove | None, _L
 
 
 def _nearest_names(above: Sequence[_LineAbove]) -> _LineAbove | None:
-    """Return the last line that may have names; numbers below it, such as sampling periods, have none."""
+    """Return the last line that may have names; lines of numbers below it are passed over."""
     for line in reversed(above):
         if not line.cells or not all(map(is_number_or_stamp, filter(None, line.cells))):
             return line if line.cells else None

@@ -45,7 +45,7 @@ class CodesysTraces(LogFormat):
 
 
 def _table(path: Path, name: str, block: str) -> TimedTable:
-    """Return the table of a variable from its block; one without columns if it has no samples."""
+    """Return the table of a variable from its block; without samples, the table has no columns."""
     rows = _ROW.findall(block)
     try:
         samples = np.array([[float(time), _number(value)] for time, value in rows]).reshape(-1, 2)

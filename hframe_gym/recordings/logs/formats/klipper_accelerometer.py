@@ -43,7 +43,7 @@ def _unit(name: str) -> str:
 
 
 def _header(start: bytes) -> str:
-    """Return the header line of such a file, of a measurement or a spectrum's beginning; else ""."""
+    """Return the header line of a measurement, or of a spectrum; "" if the file is neither."""
     lines = start.decode("ascii", errors="replace").lower().splitlines()
     for line in lines[:3]:  # a line about lost samples may precede the header
         if line.strip() == _HEADER:

@@ -90,7 +90,10 @@ def log_of_messages(path: Path, source: MessageSource, remarks: tuple[str, ...])
 
 
 def numbers_of(message: Any, name: str) -> dict[str, float]:
-    """Find all numbers in a message by name, which begins with `name`; no long lists, texts, header."""
+    """Find all numbers in a message by name, which begins with `name`.
+
+    Its header, texts and long lists are left out.
+    """
     found: dict[str, float] = {}
     members = _members(message)
     if members is not None:

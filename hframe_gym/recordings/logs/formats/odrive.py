@@ -56,5 +56,5 @@ class ODriveLogs(LogFormat):
 
 
 def _unit(header: str) -> str:
-    """Return a property's unit, named alone or with its path such as "odrv0.axis0.pos_estimate"; else ""."""
+    """Return the unit of a property, named alone or as "odrv0.axis0.pos_estimate"; "" if it is not known."""
     return _UNITS.get(re.split(r"[./\s]", header.strip())[-1].lower(), "")

@@ -62,7 +62,7 @@ class RosDecoder:
         self._store.max_sequence_length = _LONGEST_LIST
 
     def decoder(self, name: str, *, ros1: bool) -> Callable[[bytes], Any]:
-        """Return the function from a message's bytes, as in ROS 1 or 2, to its object; or UnreadableError."""
+        """Return the function that decodes a message of ROS 1 or 2, or raise UnreadableError."""
         if name not in self._store.fielddefs:
             raise UnreadableError("its definition is not in the file")
         decode = self._store.deserialize_ros1 if ros1 else self._store.deserialize_cdr

@@ -69,7 +69,7 @@ def open_text_table(
 
 
 def _quantities_in_rows(path: Path, layout: TextFormat) -> list[tuple[str, NDArray[np.float64]]]:
-    """Return the rows of a table without names, a quantity in each, with their numbers; none of others."""
+    """Return the numbered rows of a table without names in which each row is a quantity; otherwise none."""
     count = len(layout.names)
     named = any(name != f"#{k}" for k, name in enumerate(layout.names, start=1))
     if count < _LEAST_ROWS or named or set(layout.kinds) != {"number"}:

@@ -322,7 +322,7 @@ def _table(
 def _leaves(
     kind: np.dtype[np.void], prefix: str = "", offset: int = 0
 ) -> list[tuple[str, int, np.dtype[np.generic]]]:
-    """Return name's end, offset in bytes and type of each number in a structure; one of a plain number."""
+    """Return name's end, offset in bytes and type of each number in a structure, or of a plain number."""
     if kind.subdtype is not None:
         inner, (count,) = kind.subdtype
         if count > MOST_ITEMS:
