@@ -140,9 +140,8 @@ def refuse_to_replace(folder: Path, recipe: str, task: str, machine: str, seed: 
             settings.
     """
     complete_commit(folder)
-    files = [
-        name for name in (*AGENT_FILES, *RESUME_FILES) if name != "machine.json"
-    ]  # which a user may have written
+    # A user may have written machine.json.
+    files = [name for name in (*AGENT_FILES, *RESUME_FILES) if name != "machine.json"]
     present = [name for name in files if (folder / name).exists()]
     if not present:
         return

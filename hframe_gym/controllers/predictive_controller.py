@@ -42,13 +42,8 @@ from .planning.predictive_plans import ArrivalPlanner, PlanSimulation
 
 LONGEST_PERIODS = 60  # until the tool arrives; a longer way is planned again on the way
 ARRIVED = 1.2e-4  # m, predicted error of a plan that arrives in time
-DELAYS = (
-    -1,
-    0,
-    1,
-    2,
-    3,
-)  # periods by which the arrival may change from one period to the next, in the order tried
+# Periods by which the arrival may change from one period to the next, in the order tried.
+DELAYS = (-1, 0, 1, 2, 3)
 # Periods before the arrival in which a plan is corrected by simulations, and simulated periods after the
 # arrival.
 REFINED_PERIODS, PERIODS_BEYOND = 3, 3

@@ -316,9 +316,8 @@ def _unmeasured_outputs(recording: Recording, machine: Machine) -> list[Finding]
 
 def _silences(recording: Recording, machine: Machine) -> list[Finding]:
     """Report how long each channel of one run without outliers repeated a value because no new one came."""
-    removed = np.isfinite(recording.outputs) & np.isnan(
-        without_silences(recording, machine).outputs
-    )  # (n, sensors)
+    kept = np.isfinite(without_silences(recording, machine).outputs)
+    removed = np.isfinite(recording.outputs) & ~kept  # (n, sensors)
     findings = []
     for channel, values, rows in zip(machine.output_channels, recording.outputs.T, removed.T, strict=True):
         if rows.any():

@@ -155,16 +155,14 @@ EFFECT_FAMILIES: tuple[EffectFamily, ...] = (
     EffectFamily("voltage_offset", "V0", _up_to(motor1=0.35, motor2=0.35), signed=True),
     EffectFamily("gain_mismatch", "g", _up_to(motor1=0.1, motor2=0.1), signed=True),
     EffectFamily("dead_band", "Vd", _up_to(drives=0.4), fixed={"drop": 1.0}),
-    EffectFamily(
-        "current_limit", "I", {"motor1": (5.0, 11.0), "motor2": (5.0, 11.0)}, absent=12.0
-    ),  # A; absent: that of the drives "rig"
+    # In A; the value without the effect is that of the drives "rig".
+    EffectFamily("current_limit", "I", {"motor1": (5.0, 11.0), "motor2": (5.0, 11.0)}, absent=12.0),
     EffectFamily("electrical_lag", "tau", _up_to(drives=1.5e-3)),
     EffectFamily("input_delay", "d", _up_to(drives=2e-3)),
     EffectFamily("belt_play", "d", _up_to(belts=0.2e-3)),
     EffectFamily("belt_damping", "c", _up_to(belts=1e-3)),
-    EffectFamily(
-        "belt_slack", "T0", {"belts": (12.0, 36.0)}, absent=NO_SLACK_N
-    ),  # N; a motor pulls with 79 N at 8 V
+    # In N; a motor pulls with 79 N at 8 V.
+    EffectFamily("belt_slack", "T0", {"belts": (12.0, 36.0)}, absent=NO_SLACK_N),
     EffectFamily("belt_hardening", "h", _up_to(belts=5e4)),
     EffectFamily("sensor_delay", "d", _up_to(x_m=2e-3, y_m=2e-3)),
 )

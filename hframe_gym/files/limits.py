@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 
-MAX_DOCUMENT = (
-    16 << 20
-)  # bytes of a JSON or TOML file; a machine with the covariance of 500 parameters has 4 MB
+# Bytes of a JSON or TOML file; a machine with the covariance of 500 parameters has 4 MB.
+MAX_DOCUMENT = 16 << 20
 # A compressed table may have this many times the bytes of its file. Times increase from row to row, so that
 # tables of a rig at rest reach about 25; archives that are made to fill the memory reach 1000.
 MAX_EXPANSION = 100

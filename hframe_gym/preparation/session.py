@@ -159,9 +159,8 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
             initial=state,
             noise=noise_by_row(run.time_s, run.outputs, noise, jitter),
             weights=independent_values(run.time_s, run.outputs, quanta),
-            dropped=np.isin(
-                run.time_s, recorded.time_s, invert=True
-            ),  # `fill_gaps` keeps recorded times exactly
+            # Exact, because `fill_gaps` keeps the recorded times.
+            dropped=np.isin(run.time_s, recorded.time_s, invert=True),
             clock_voltages=clock_voltages(run.time_s, run.inputs, run.outputs[:, of_position]),
         )
         for recorded, run, state in zip(recordings, filled, initial, strict=True)

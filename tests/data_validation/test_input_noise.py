@@ -38,10 +38,8 @@ def test_the_noise_of_a_measured_current_is_named_with_its_size(noise: float) ->
 @pytest.mark.parametrize(
     ("channel", "values"),
     [
-        (
-            "motor_A",
-            2.0 * np.sin(15.0 * TIME) + 0.01 * np.random.default_rng(0).normal(size=len(TIME)),
-        ),  # 0.7 %
+        # 0.7 %
+        ("motor_A", 2.0 * np.sin(15.0 * TIME) + 0.01 * np.random.default_rng(0).normal(size=len(TIME))),
         ("motor_A", 2.0 * np.sign(np.sin(15.0 * TIME))),
         ("motor_Nm", np.repeat(np.random.default_rng(0).normal(size=100), 20)),  # random steps
         ("motor_A", np.zeros(len(TIME))),

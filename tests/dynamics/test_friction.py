@@ -123,9 +123,8 @@ def test_flow_without_compilation(viscous: float) -> None:
     expected = np.array([exact(v[i], f[i], coulomb, viscous, mass, h) for i in range(len(v))]).T
     np.testing.assert_allclose(np.where(stopped, turned, after), expected[0], rtol=1e-8, atol=1e-12)
     np.testing.assert_allclose(travel[:-1], expected[1, :-1], rtol=1e-7, atol=1e-13)
-    assert travel[-1] == pytest.approx(
-        expected[1, -1], rel=1e-5
-    )  # the stop's series ends where damping is strongest
+    # The stop's series ends where damping is strongest.
+    assert travel[-1] == pytest.approx(expected[1, -1], rel=1e-5)
     # After a reversal the coefficient of the new direction acts for the rest of the step.
     lane = 2
     stop = (

@@ -33,11 +33,8 @@ from hframe_gym.recordings import load_machine, save_machine
 from tests.effects.one_of_each import CASES, history
 
 TABLE = {f"k{i:02d}": 0.01 * i for i in range(KNOTS)} | {f"f{i:02d}": 0.1 * i for i in range(KNOTS)}
-ADDED = {
-    "yaw",
-    "frame",
-    *(f"phi{i}" for i in range(3, 9)),
-}  # coordinates that structural effects name themselves
+# Coordinates that structural effects name themselves.
+ADDED = {"yaw", "frame", *(f"phi{i}" for i in range(3, 9))}
 # Each with effects at sites of every kind, on single components and on all at once, and with each structural
 # effect.
 EFFECTS_OF_MACHINES: dict[str, tuple[str, Sequence[tuple[str, str, Mapping[str, float]]]]] = {

@@ -138,10 +138,8 @@ class Rig:
     dead_band_V: PerDrive = (0.0, 0.0)  # Vd
     current_limit_A: PerDrive = (INF, INF)
     voltage_limit_V: PerDrive = (INF, INF)
-    coasting_V: PerDrive = (
-        0.0,
-        0.0,
-    )  # U of a bridge that opens between its pulses, which last |V'|/U; 0: it shorts
+    # U of a bridge that opens between its pulses, which last |V'|/U; 0: it shorts.
+    coasting_V: PerDrive = (0.0, 0.0)
     electrical_lag_s: PerDrive = (0.0, 0.0)  # tau = L/R
     input_delay_s: PerDrive = (0.0, 0.0)
     # a in torque (1 - a h), tau h' = i^2 - h: relative loss per A^2 in steady state

@@ -184,10 +184,7 @@ def _integrates_displacement(effect: AppliedEffect) -> bool:
 
 
 def _has_kink(hook: Hook) -> bool:
-    """Return whether a hook's formula switches between branches; 
-
-    x| is none, because it occurs as x |x|.
-    """
+    """Return whether a hook's formula switches between branches; |x| is none, as it occurs in x |x|."""
     symbols = [ca.SX.sym(name) for name in argument_names(hook)]
     formula = ca.Function("hook", symbols, [ca.SX(hook(*symbols))])
     return any(formula.instruction_id(k) in SWITCHING_OPERATIONS for k in range(formula.n_instructions()))

@@ -28,9 +28,8 @@ class LinearMotion:
     def __init__(self, model: MotionModel, period: float) -> None:
         self._model, self._period = model, period
         self._machine = dataclasses.replace(model.machine, effects=())
-        self._extension = (
-            model.machine.belt_matrix / model.machine.travel_per_unit
-        )  # per belt travel, (belts, n)
+        # Extension per belt travel, (belts, n).
+        self._extension = model.machine.belt_matrix / model.machine.travel_per_unit
         # Coulomb friction, N, is the value of its parameter over a unit, times the force of this unit. The
         # unit is the declared value, because voltages are then bit for bit those of the stored scores; 1 N
         # where that is 0.

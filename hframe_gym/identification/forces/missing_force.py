@@ -228,9 +228,8 @@ def _observed_forces(machine: Machine, period: float) -> _ObservedForces:
     stiffness = np.sum(motion_gains * measured, axis=0)  # D l1 + M l2
     resistance = np.sum(((modes * mass) @ position_gains).T * measured, axis=0) + modes**2 @ damping
     first, second = (
-        np.divide(
-            values, stiffness, out=np.zeros_like(stiffness), where=stiffness > 0.0
-        )  # 0 where nothing is measured
+        # It is 0 where nothing is measured.
+        np.divide(values, stiffness, out=np.zeros_like(stiffness), where=stiffness > 0.0)
         for values in (resistance, modes**2 @ mass)
     )
     return _ObservedForces(motion_gains @ distribution, motion_gains, first, second, modes, distribution)

@@ -63,9 +63,8 @@ def voltage_responses(
     per_block = min(per_block or mechanical_rows_per_block(data), len(run.time_s))
     blocks, sensors = len(run.time_s) // per_block, run.outputs.shape[1]
     measured = np.isfinite(run.outputs[: blocks * per_block]).reshape(blocks, per_block, sensors).mean(axis=1)
-    scales = 1.0 / np.sqrt(
-        np.where(measured > 0.0, measured, 1.0)
-    )  # for unit noise where cells of a block are blank
+    # For unit noise where cells of a block are blank.
+    scales = 1.0 / np.sqrt(np.where(measured > 0.0, measured, 1.0))
 
     def predicted(inputs: Array) -> Array:
         """Return residuals for several histories of the voltages, shape (histories, blocks, sensors)."""

@@ -201,9 +201,8 @@ class IdentificationResult:
 
     def as_report(self) -> document.Report:
         """Return report.json's content without what `write_result` adds: warnings, formulas and origin."""
-        with_force = all(
-            e.held_out.force is not None for e in self.evaluations.values()
-        )  # else not comparable
+        # Forces are compared only if all machines have them.
+        with_force = all(e.held_out.force is not None for e in self.evaluations.values())
         declared, before, after = (
             document.Evaluation(
                 held_out=_errors(evaluation.held_out, with_force=with_force),

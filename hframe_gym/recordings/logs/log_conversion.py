@@ -237,9 +237,8 @@ class LogConverter:
             return values, ""
         angle = channel_dimension(self.machine, channel) == "angle" or sensor.incremental
         measured = values[np.isfinite(values)]
-        quantum = (
-            1.0 if np.array_equal(measured, np.rint(measured)) else exact_quantum(values)
-        )  # 1 for counts
+        # Counts have the quantum 1.
+        quantum = 1.0 if np.array_equal(measured, np.rint(measured)) else exact_quantum(values)
         wrap = find_wrap(values, known_moduli(quantum, angle=angle))
         if wrap is None:
             return values, ""

@@ -401,9 +401,8 @@ def _clock_remarks(time_s: Array) -> list[str]:
     if len(steps) == 0:
         return [f"{len(time_s)} row"]
     median, usual = float(np.median(steps)), usual_step(time_s)
-    period = float(
-        np.mean(steps[missing_rows(time_s) == 0])
-    )  # of stamps in whole ms, the median is a whole number
+    # The mean: of stamps in whole ms, the median is a whole number.
+    period = float(np.mean(steps[missing_rows(time_s) == 0]))
     rate = f"{1 / period:.4g} Hz" if usual == median else f"irregular times, up to {1e3 * usual:.3g} ms apart"
     remarks = [f"{len(time_s)} rows, {time_s[-1] - time_s[0]:.4g} s at {rate}"]
     gaps = np.flatnonzero(missing_rows(time_s))

@@ -45,9 +45,8 @@ _DIMENSION_OF_UNIT: dict[str, Dimension] = {unit: dimension for dimension, unit 
 DUTY_UNITS = {"%": 100.0, "pu": 1.0}
 # Inputs of amplifiers that control the current or the torque, by the unit at the end of the channel's name.
 _COMMANDS: dict[str, Dimension] = {"A": "current", "Nm": "torque", "N": "force"}
-_BITS = re.compile(
-    r"(\d{1,2})\s*bits?", re.IGNORECASE
-)  # unit of a number that is written to a converter or timer
+# Unit of a number that is written to a converter or timer.
+_BITS = re.compile(r"(\d{1,2})\s*bits?", re.IGNORECASE)
 _INTEGRATED = "integrated from 0; an offset of the speed makes the position drift"
 _RATE = re.compile(r"(?P<rate>\d+(\.\d+)?([eE][+-]?\d+)?)\s*(?P<prefix>k?)hz", re.IGNORECASE)
 
