@@ -31,7 +31,7 @@ from hframe_gym.identification.predict.free_parameters import default_free_param
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
 from hframe_gym.identification.propose.candidates import effect_parameters
 from hframe_gym.identification.propose.typical_scales import typical_scales
-from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine
+from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect
 from hframe_gym.preparation.dataset import Dataset
 from hframe_gym.recordings import without_outliers
 from tests.rigs.random_effects import library_parameters
@@ -71,14 +71,10 @@ def suitable(rig: RandomRig) -> bool:
     )
 
 
-def starting_effects(rig: RandomRig, machine: Machine) -> list[AppliedEffect]:
+def starting_effects(rig: RandomRig) -> list[AppliedEffect]:
     """Return the effects of a rig with parameters that are off the true ones, as a search would start them.
 
-    Args:
-        machine: Declared machine.
-
-    Returns:
-        Effects to add to the declared machine; none for an effect that the refitted parameters absorb.
+    An effect that the refitted parameters absorb is left out.
     """
     rng = np.random.default_rng([rig.seed, rig.index, 3])
     applied = []
@@ -108,7 +104,7 @@ def fit_rig(rig: RandomRig) -> Fitted:
     data = prepare(recordings, declared).with_runs([r.name for r in recordings if r.name not in kept])
     free = default_free_parameters(declared)
     base = fit(declared, free, data, SEARCH_BANDWIDTH)
-    effects = starting_effects(rig, declared)
+    effects = starting_effects(rig)
     fitted = base
     if effects:
         scales = typical_scales(base, data)

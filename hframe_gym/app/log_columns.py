@@ -113,7 +113,7 @@ def view_log(path: Path, machine: Machine, options: MappingOptions) -> LogView:
     except InputError as error:
         sources, problem = [], str(error).removeprefix(f"{log.path}: ").removeprefix(f"{log.path}, ")
     values = _values_of(path, path.stat().st_mtime_ns, path.stat().st_size)
-    time, has_time = _times(log, sources, values)
+    time, has_time = _times(sources, values)
     by_header = {s.column.header: s for s in sources if s.column is not None}
     curves = []
     for column in log.columns:
@@ -165,7 +165,7 @@ def _values_of(path: Path, modified: int, size: int) -> dict[str, Array]:
     return values
 
 
-def _times(log: Log, sources: Sequence[ChannelSource], values: dict[str, Array]) -> tuple[Array, bool]:
+def _times(sources: Sequence[ChannelSource], values: dict[str, Array]) -> tuple[Array, bool]:
     """Return the times of a log, s, or its row numbers if the times are not known; time stamps begin at 0."""
     source = next((s for s in sources if s.channel == TIME), None)
     length = max((len(array) for array in values.values()), default=0)
