@@ -28,6 +28,15 @@ Times: TypeAlias = NDArray[np.float64]
 Inputs: TypeAlias = NDArray[np.float64]
 """Command of each drive, V, A, Nm or its set point's unit, held until the next sample, shape (N, drives)."""
 
+Measurements: TypeAlias = NDArray[np.float64]
+"""Measurement of each sensor, in its unit, NaN where it was not measured, shape (N, sensors)."""
+
+SensorNoise: TypeAlias = NDArray[np.float64]
+"""Standard deviation of the noise of each sensor, in its unit, shape (sensors,)."""
+
+Quanta: TypeAlias = NDArray[np.float64]
+"""Quantization step of each sensor, in its unit, 0 where there is none, shape (sensors,)."""
+
 ElapsedTimes: TypeAlias = NDArray[np.float64]
 """Time since the start of the episode of each machine, s, shape (B,)."""
 

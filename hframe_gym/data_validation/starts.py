@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Array
+from ..arrays import Array, Times
 from ..identification import Dataset
 from ..machine import Machine
 from ..recordings import Recording, peak_to_peak
@@ -88,7 +88,7 @@ def check_starts(recordings: Sequence[Recording], data: Dataset, machine: Machin
 
 
 def starts_from_rest(
-    time_s: Array, force: Array, values: Array, resting: float, moving: float
+    time_s: Times, force: Array, values: Array, resting: float, moving: float
 ) -> Iterator[Start]:
     """Yield the starts of a run from a rest without force.
 
@@ -97,7 +97,6 @@ def starts_from_rest(
     since the force began: a wheel that is stopped may spring back.
 
     Args:
-        time_s: Times, s, shape (n,).
         force: Force of the drives, N or Nm, shape (n,).
         values: Positions or speeds in the direction of the force, m, rad, m/s or rad/s, NaN where not
             measured, shape (n,).

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Times
 from ..machine import METERS
 from ..registry import Registry
 from .episodes import Episodes
@@ -163,12 +163,11 @@ def track_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[
     }
 
 
-def settling_times(error: Array, time_s: Array, band: float) -> tuple[Array, NDArray[np.bool_]]:
+def settling_times(error: Array, time_s: Times, band: float) -> tuple[Array, NDArray[np.bool_]]:
     """Compute the settling times of B episodes: the times from which on the error never exceeds the band.
 
     Args:
         error: Distance to the goal at n samples, m, shape (B, n).
-        time_s: Sample times, s, shape (n,).
         band: Settling band: largest distance to the goal, m.
 
     Returns:

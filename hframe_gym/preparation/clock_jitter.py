@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import savgol_filter
 
-from ..arrays import Array
+from ..arrays import Array, Measurements, Times
 
 _SPEED_ROWS, MIN_JITTER_ROWS = 11, 50  # samples that a speed is computed from; measured rows of a run
 # Largest jitter, in sampling periods. Times that err uniformly over a whole period have a standard deviation
@@ -63,12 +63,10 @@ def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float)
     return jitter if jitter <= _LARGEST_JITTER * period else 0.0
 
 
-def noise_by_row(time_s: Array, outputs: Array, noise: Array, jitter: float) -> Array:
+def noise_by_row(time_s: Times, outputs: Measurements, noise: Array, jitter: float) -> Array:
     """Return the standard deviation of every measurement from the sensor's noise and the jitter of the clock.
 
     Args:
-        time_s: Sample times, s, shape (n,).
-        outputs: Measurements, in the sensors' units, shape (n, sensors), NaN where not measured.
         noise: Standard deviations of the sensors' noise at rest, in the sensors' units, shape (sensors,).
         jitter: Standard deviation of the sampling time, s.
 
@@ -86,11 +84,10 @@ def noise_by_row(time_s: Array, outputs: Array, noise: Array, jitter: float) -> 
     return by_row
 
 
-def smooth_speed(time_s: Array, values: Array) -> Array:
+def smooth_speed(time_s: Times, values: Array) -> Array:
     """Return the speed of a channel, m/s or rad/s, shape (n,): the slope of a parabola over 11 samples.
 
     Args:
-        time_s: Sample times, s, shape (n,).
         values: Measurements, m or rad, shape (n,).
     """
     period = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
-from ..arrays import Array
+from ..arrays import Array, Times
 from ..robust_statistics import std_by_median
 from .interpolated_voltages import Interpolation, updated_inputs
 
@@ -98,7 +98,7 @@ def clock_voltages(time_s: Array, inputs: Array, outputs: Array) -> ClockVoltage
 
 
 def updated_inputs_of_clock(
-    time_s: Array,
+    time_s: Times,
     inputs: Array,
     clock: ClockVoltages | None,
     updates: int,
@@ -107,7 +107,6 @@ def updated_inputs_of_clock(
     """Return interpolated inputs at the times at which a controller changes them, whose clock may jitter.
 
     Args:
-        time_s: Times of the rows, s, shape (n,).
         inputs: Inputs in the rows, V, shape (..., n, drives).
         clock: What the jitter does to them; None: nothing.
         updates: Changes of the inputs from one row to the next.
@@ -124,7 +123,7 @@ def updated_inputs_of_clock(
     return changing
 
 
-def with_clock_voltages(inputs: Array, voltages: ClockVoltages, time_s: Array, updates: int) -> Array:
+def with_clock_voltages(inputs: Array, voltages: ClockVoltages, time_s: Times, updates: int) -> Array:
     """Return rows' voltages that, interpolated between rows, are those of a controller whose clock jitters.
 
     They lack the answers to the jitter of the rows. Of n changes a row, each adds its impulse. With the
@@ -133,7 +132,6 @@ def with_clock_voltages(inputs: Array, voltages: ClockVoltages, time_s: Array, u
     Args:
         inputs: Voltages in the rows, V, shape (..., n, drives).
         voltages: What the clock's jitter does to them, for the same rows.
-        time_s: Times of the rows, s, shape (n,).
         updates: Changes of the voltages from one row to the next; with one, nothing is missing.
 
     Returns:

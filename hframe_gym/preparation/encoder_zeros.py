@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Quanta
 from ..machine import Machine
 from .belt_stretch import max_held_angle
 
@@ -92,7 +92,7 @@ class EncoderZeros(NamedTuple):
         return EncoderZeros(np.where(sensors, np.nan, self.values), np.where(sensors, 0.0, self.spread))
 
 
-def zero_tolerance(machine: Machine, zeros: EncoderZeros, quanta: Array) -> Array:
+def zero_tolerance(machine: Machine, zeros: EncoderZeros, quanta: Quanta) -> Array:
     """Return by how much an encoder's zero in one run may differ from its session zero (all runs).
 
     The zero is the measurement at position 0. If it differs by more, the encoder was switched on anew for
@@ -101,7 +101,6 @@ def zero_tolerance(machine: Machine, zeros: EncoderZeros, quanta: Array) -> Arra
     Args:
         machine: Machine with belts.
         zeros: Zeros of the session, with their standard deviations from run to run.
-        quanta: Quantization steps of the sensors, in the sensors' units, shape (sensors,).
 
     Returns:
         Largest permitted differences, in the sensors' units, shape (sensors,): the sum of four standard

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Quanta
 from ..machine import Machine, rest_state
 from ..recordings import Recording
 from .belt_stretch import linear_coordinates, rigid_basis, static_equilibrium
@@ -34,7 +34,7 @@ def measured_initial_state(
     recording: Recording,
     machine: Machine,
     zeros: EncoderZeros,
-    quanta: Array,
+    quanta: Quanta,
     alone: InitialState | None = None,
 ) -> InitialState:
     """Estimate the initial state of a run from its measurements at rest and the encoder zeros of all runs.
@@ -55,7 +55,6 @@ def measured_initial_state(
         recording: The run; saturated measurements are NaN.
         machine: Machine with the rig's coordinates, belts and sensors, and its effects.
         zeros: Zeros of the encoders in the session.
-        quanta: Quantization steps of the sensors, in the sensors' units, shape (sensors,).
         alone: Initial state without zeros of the session. Default: that of `estimate_initial_state`.
 
     Returns:

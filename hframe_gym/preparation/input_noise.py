@@ -14,7 +14,7 @@ import dataclasses
 
 import numpy as np
 
-from ..arrays import Array
+from ..arrays import Array, Measurements
 from ..line_log import LineLog
 from ..machine import Machine
 from ..recordings import Recording
@@ -50,7 +50,7 @@ def noise_of_input(values: Array) -> float:
     return white_noise([values], 2)
 
 
-def answers_measurements(values: Array, outputs: Array) -> bool:
+def answers_measurements(values: Array, outputs: Measurements) -> bool:
     """Return whether an input is the answer of a controller to the measurements up to its row.
 
     The noise of a current sensor does not depend on the errors of other sensors. What a controller commands
@@ -58,7 +58,6 @@ def answers_measurements(values: Array, outputs: Array) -> bool:
 
     Args:
         values: Input, shape (n,).
-        outputs: Measurements, shape (n, sensors); NaN where there is none.
 
     Returns:
         True if a linear combination of the measurements has at least half of the input's second differences

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator, CubicSpline, make_interp_spline
 
-from ..arrays import Array
+from ..arrays import Array, Times
 
 # "straight" reduces what is fast, "spline" overshoots where voltages jump; the truth lies between them.
 Interpolation = Literal["akima", "straight", "spline"]
@@ -25,11 +25,10 @@ _INTERPOLATORS = {
 }
 
 
-def update_times(time_s: Array, updates: int) -> Array:
+def update_times(time_s: Times, updates: int) -> Array:
     """Return the times at which a controller changes the voltages.
 
     Args:
-        time_s: Times of the rows, s, shape (n,).
         updates: Changes of the voltages from one row to the next.
 
     Returns:
@@ -42,12 +41,11 @@ def update_times(time_s: Array, updates: int) -> Array:
 
 
 def updated_inputs(
-    time_s: Array, inputs: Array, updates: int, interpolation: Interpolation = "akima"
+    time_s: Times, inputs: Array, updates: int, interpolation: Interpolation = "akima"
 ) -> Array:
     """Return interpolated inputs at the times at which a controller changes them.
 
     Args:
-        time_s: Times of the rows, s, shape (n,).
         inputs: Inputs in the rows, V, shape (..., n, drives).
         updates: Changes of the inputs from one row to the next.
         interpolation: How the inputs are interpolated.

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..arrays import Array
+from ..arrays import Array, SensorNoise
 from ..effects import EFFECTS
 from ..effects.sensor_range import UNLIMITED
 from ..machine import AppliedEffect, Machine
@@ -18,7 +18,7 @@ Range = tuple[float, float]
 
 
 def saturation_ranges(
-    recordings: Sequence[Recording], machine: Machine, noise: Array, criteria: SaturationCriteria
+    recordings: Sequence[Recording], machine: Machine, noise: SensorNoise, criteria: SaturationCriteria
 ) -> dict[str, Range]:
     """Find the lasers that saturate: they stay at the end of their measuring range while the machine moves.
 
@@ -31,7 +31,6 @@ def saturation_ranges(
     Args:
         recordings: All runs of the rig.
         machine: Machine as declared.
-        noise: Standard deviations of the sensors' noise, in the sensors' units, shape (sensors,).
 
     Returns:
         Lower and upper end of the measuring range, m or rad, by channel of each saturating laser. For an end
@@ -103,7 +102,7 @@ def blank_saturated(
     recording: Recording,
     ranges: Mapping[str, Range],
     machine: Machine,
-    noise: Array,
+    noise: SensorNoise,
     criteria: SaturationCriteria,
 ) -> Recording:
     """Copy a recording, with NaN in place of saturated measurements.
@@ -115,7 +114,6 @@ def blank_saturated(
     Args:
         ranges: Lower and upper end of the measuring range by channel name, m or rad. Other channels are
             unchanged.
-        noise: Standard deviations of the sensors' noise, in the sensors' units, shape (sensors,).
     """
     outputs = recording.outputs.copy()
     for channel, (low, high) in ranges.items():

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import savgol_coeffs, savgol_filter
 
-from ..arrays import Array
+from ..arrays import Array, Measurements, Quanta, Times
 from ..recordings import quantum_of
 from ..robust_statistics import white_noise
 
@@ -116,18 +116,12 @@ def _curve_noise(channel: Sequence[Array]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(deviations) ** 2) / (1.0 - removed)))
 
 
-def independent_values(time_s: Array, outputs: Array, quanta: Array) -> Array:
+def independent_values(time_s: Times, outputs: Measurements, quanta: Quanta) -> Array:
     """Return the weight of each measurement in a sum of squared errors: 1 if its error is independent.
 
     While a quantized sensor is at rest, all its measurements are equal and have the same rounding error. They
     count as one measurement: N equal measurements have the weight 1 / N each. A sensor counts as at rest if
     its measurement stays the same for more than 20 ms.
-
-    Args:
-        time_s: Sample times, s, shape (n,).
-        outputs: Measurements, in the sensors' units, shape (n, sensors), NaN where not measured.
-        quanta: Quantization steps of the sensors, in the sensors' units, 0 where there is none,
-            shape (sensors,).
 
     Returns:
         Weights, dimensionless, shape (n, sensors): 0 where not measured; 1 / N at rest; 1 in motion, and for

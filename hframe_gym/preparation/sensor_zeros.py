@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Quanta
 from ..machine import SENSOR_KINDS, Machine
 from .belt_stretch import stretch_angles
 from .encoder_zeros import EncoderZeros, zero_tolerance
@@ -18,7 +18,7 @@ _MOVING_STRETCH = 4.0  # times the typical stretch of the belts at the start of 
 
 
 def sensor_zero_error(
-    error: Array, weights: Array, resting_rows: int, max_mean: Array, quanta: Array
+    error: Array, weights: Array, resting_rows: int, max_mean: Array, quanta: Quanta
 ) -> Array:
     """Estimate the errors of the sensors' zeros (measurements at position 0) from prediction errors.
 
@@ -35,8 +35,6 @@ def sensor_zero_error(
         resting_rows: Number of rows at rest at the beginning of the run, at least 1.
         max_mean: Largest difference between estimate and mean error at rest, in the sensors' units,
             shape (sensors,); infinite for no limit.
-        quanta: Quantization steps of the sensors, in the sensors' units, 0 where there is none,
-            shape (sensors,).
 
     Returns:
         Errors of the zeros, in the sensors' units, shape (batch, 1, sensors), to be subtracted from `error`.
@@ -51,7 +49,7 @@ def sensor_zero_error(
 
 
 def zeros_from_means(
-    mean: Callable[[slice], Array], rows: int, resting_rows: int, max_mean: Array, quanta: Array
+    mean: Callable[[slice], Array], rows: int, resting_rows: int, max_mean: Array, quanta: Quanta
 ) -> Array:
     """Estimate the errors of the sensors' zeros (`sensor_zero_error`) from mean errors over some rows.
 
@@ -61,8 +59,6 @@ def zeros_from_means(
         resting_rows: Number of rows at rest at the beginning of the run, at least 1.
         max_mean: Largest difference between estimate and mean error at rest, in the sensors' units,
             shape (sensors,); infinite for no limit.
-        quanta: Quantization steps of the sensors, in the sensors' units, 0 where there is none,
-            shape (sensors,).
 
     Returns:
         Errors of the zeros, in the sensors' units, shape (batch, sensors).
@@ -74,7 +70,7 @@ def zeros_from_means(
     return np.asarray(at_rest + np.clip(of_run - at_rest, -max_mean, max_mean))
 
 
-def max_zero_means(behind: NDArray[np.bool_], quanta: Array) -> Array:
+def max_zero_means(behind: NDArray[np.bool_], quanta: Quanta) -> Array:
     """Return how far the zero of each sensor may differ from its estimate by the rows at rest.
 
     The zero is the measurement at position 0. The rows at rest determine it only to within the quantization;
@@ -83,8 +79,6 @@ def max_zero_means(behind: NDArray[np.bool_], quanta: Array) -> Array:
 
     Args:
         behind: True for encoders on pulleys, which elastic belts separate from the tool, shape (sensors,).
-        quanta: Quantization steps of the sensors, in the sensors' units, 0 where there is none,
-            shape (sensors,).
 
     Returns:
         Limits, in the sensors' units, shape (sensors,): infinite behind belts, otherwise half a quantization
@@ -93,7 +87,7 @@ def max_zero_means(behind: NDArray[np.bool_], quanta: Array) -> Array:
     return np.where(behind, np.inf, quanta / 2)
 
 
-def max_reported_zero_means(machine: Machine, initial: InitialState, quanta: Array) -> Array:
+def max_reported_zero_means(machine: Machine, initial: InitialState, quanta: Quanta) -> Array:
     """Return how far, in a reported error, each sensor's zero may differ from its estimate at rest.
 
     A search compares machines without a limit for encoders behind belts, see `max_zero_means`. In a reported
@@ -102,8 +96,6 @@ def max_reported_zero_means(machine: Machine, initial: InitialState, quanta: Arr
 
     Args:
         machine: Machine whose error is reported.
-        quanta: Quantization steps of the sensors, in the sensors' units, 0 where there is none,
-            shape (sensors,).
 
     Returns:
         Limits, in the sensors' units, shape (sensors,): half a quantization step; behind belts, what

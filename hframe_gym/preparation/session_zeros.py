@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..arrays import Array
+from ..arrays import Array, Quanta
 from ..machine import Machine
 from ..robust_statistics import std_by_median
 from .belt_stretch import max_held_angle
@@ -24,7 +24,7 @@ _MIN_RUNS_FOR_ZERO = 3
 _MIN_STRETCH = 0.1e-3  # rad; zeros that scatter by less from run to run show no stretch of the belts.
 
 
-def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quanta: Array) -> EncoderZeros:
+def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quanta: Quanta) -> EncoderZeros:
     """Find the encoders that kept their zero (measurement at position 0) in all runs of a session.
 
     An encoder on a pulley kept its zero if the standard deviation of the zero from run to run is below the
@@ -34,7 +34,6 @@ def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quan
     Args:
         initial: Initial states of the runs, each estimated with unknown zeros.
         machine: Machine as declared.
-        quanta: Quantization steps of the sensors, in the sensors' units, shape (sensors,).
 
     Returns:
         Median over the runs of the zero of each such encoder, in the sensors' units, shape (sensors,), NaN

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Array
+from ..arrays import Array, SensorNoise
 from ..line_log import LineLog
 from ..machine import Machine
 from ..recordings import (
@@ -167,7 +167,7 @@ def rest_and_noise(recording: Recording, machine: Machine) -> tuple[int, Array, 
 
 
 def without_saturated(
-    recordings: Sequence[Recording], machine: Machine, noise: Array, criteria: SaturationCriteria
+    recordings: Sequence[Recording], machine: Machine, noise: SensorNoise, criteria: SaturationCriteria
 ) -> tuple[list[Recording], dict[str, Range]]:
     """Remove measurements at the end of a sensor's range.
 
@@ -176,7 +176,6 @@ def without_saturated(
 
     Args:
         recordings: Runs of one rig.
-        noise: Standard deviations of the sensors' noise, in the sensors' units, shape (sensors,).
         criteria: Thresholds by which a sensor at the end of its range is recognized.
 
     Returns:

@@ -11,7 +11,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Measurements, Times
 from ..machine import Machine
 from .quantization import exact_quantum
 from .recording import Recording
@@ -45,11 +45,8 @@ _CONTINUED = 0.5
 _CATCH_UP = 3.0  # times the largest step around a silence
 
 
-def usual_step(time_s: Array) -> float:
+def usual_step(time_s: Times) -> float:
     """Return the longest time from row to row that is no gap, s; infinite with fewer than two rows.
-
-    Args:
-        time_s: Times of the rows, s, shape (n,).
 
     Returns:
         Time, s: the sampling period, which is the median step. A log of events has none: its rows are written
@@ -64,11 +61,8 @@ def usual_step(time_s: Array) -> float:
     return max(period, float(np.percentile(steps, _EVENTS_PERCENT))) if of_events else period
 
 
-def missing_rows(time_s: Array) -> NDArray[np.int_]:
+def missing_rows(time_s: Times) -> NDArray[np.int_]:
     """Count the rows that are missing in each step, which is one of more than 1.5 usual steps (`usual_step`).
-
-    Args:
-        time_s: Times of the rows, s, shape (n,).
 
     Returns:
         Numbers of missing rows, shape (n - 1,).
@@ -98,12 +92,10 @@ def fill_gaps(recording: Recording) -> Recording:
     return Recording(recording.name, grid[order], inputs[order], outputs[order])
 
 
-def comparison_window(outputs: Array, time_s: Array, shortest: float) -> float:
+def comparison_window(outputs: Measurements, time_s: Times, shortest: float) -> float:
     """Return the length of a time window in which usually every channel, even a slow one, has a measurement.
 
     Args:
-        outputs: Measurements, in the sensors' units, shape (n, sensors), NaN where not measured.
-        time_s: Sample times, s, shape (n,).
         shortest: Smallest length of the window, s; it is returned if all sensors measure often enough.
 
     Returns:
@@ -120,14 +112,12 @@ def comparison_window(outputs: Array, time_s: Array, shortest: float) -> float:
     return window
 
 
-def bridge_blanks(outputs: Array, time_s: Array, longest_gap: float) -> Array:
+def bridge_blanks(outputs: Measurements, time_s: Times, longest_gap: float) -> Array:
     """Copy measurements and interpolate where a sensor did not measure, to compare channels row by row.
 
     Only such comparisons use the result; fits and estimates of the noise use the measured cells alone.
 
     Args:
-        outputs: Measurements, in the sensors' units, shape (n, sensors), NaN where not measured.
-        time_s: Sample times, s, shape (n,).
         longest_gap: Longest time between successive measurements of a sensor over which values are
             interpolated, s.
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Times
 from ..machine import Machine
 from .cleaning import missing_rows
 from .quantization import exact_quantum
@@ -122,7 +122,7 @@ def _motion_around(changes: Array, jump: int, extent: float) -> float:
     return float(np.median(regular)) if moves else 0.0
 
 
-def unwrapped(values: Array, modulus: float, time_s: Array) -> Array:
+def unwrapped(values: Array, modulus: float, time_s: Times) -> Array:
     """Unwrap values: add multiples of the modulus, so that no change between measurements exceeds half.
 
     In a gap of the times, a fast motion passes the end several times. There, the change is the one that is
@@ -131,7 +131,6 @@ def unwrapped(values: Array, modulus: float, time_s: Array) -> Array:
     Args:
         values: Values of one channel, NaN where not measured, shape (n,).
         modulus: Size of the jumps, in the unit of the values.
-        time_s: Sample times, s, shape (n,).
 
     Returns:
         Copy that begins with the same value and has no jumps, NaN where the values are, shape (n,).
