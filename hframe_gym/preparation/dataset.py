@@ -41,7 +41,7 @@ class VoltageErrors(Protocol):
 
         Args:
             residual: Residuals of a batch of predictions, in units of the noise, shape (batch, n * sensors).
-            bandwidth: Bandwidth of the observer that corrected the predictions by the measurements, rad/s.
+            bandwidth: Bandwidth of the observer, rad/s.
 
         Returns:
             White residuals of an exact machine, dimensionless, same shape.
@@ -51,7 +51,7 @@ class VoltageErrors(Protocol):
         """Return the logarithm of the variance of each value before it was whitened, shape (n, sensors).
 
         Args:
-            bandwidth: Bandwidth of the observer that corrected the predictions by the measurements, rad/s.
+            bandwidth: Bandwidth of the observer, rad/s.
         """
 
 
@@ -89,8 +89,7 @@ class PreparedRecording:
         name: Name of the run.
         time_s: Sample times, s, shape (n,).
         inputs: Drive voltages, V, shape (n, drives).
-        outputs: Measurements minus zeros (measurements at position 0), in the sensors' units,
-            shape (n, sensors), NaN where missing.
+        outputs: Measurements minus zeros, in the sensors' units, shape (n, sensors), NaN where missing.
         initial: Measured initial state.
         noise: Standard deviation of each measurement, in the sensors' units, shape (n, sensors):
             sqrt(noise^2 + (jitter * speed)^2) with the sensor's noise at rest and the jitter of the clock, s.
@@ -98,8 +97,8 @@ class PreparedRecording:
             (independent of the measurements beside it), see `independent_values`.
         dropped: True for rows that the logger dropped; their voltages are interpolated or estimated,
             shape (n,).
-        observer_bandwidth: Bandwidth of the observer that corrects predictions of this run by the
-            measurements, rad/s; None: that of the prediction or fit.
+        observer_bandwidth: Bandwidth of the observer for this run, rad/s; None: that of the prediction or
+            fit.
         updates: How many times the voltages change from one row to the next: more than once if the controller
             is faster than the log. They are then interpolated between the rows (`interpolated_voltages`).
         interpolation: How they are interpolated.
@@ -216,8 +215,8 @@ class PreparedRecording:
             machine: Machine with its effects, which may add coordinates.
 
         Returns:
-            Positions (m, rad), velocities (m/s, rad/s; zero at rest) and states of the effects (SI; zero
-            unless estimated), shape (2 * coordinates + effect states,).
+            Positions (m, rad), velocities (m/s, rad/s) and states of the effects (SI; 0 unless estimated),
+            shape (2 * coordinates + effect states,).
         """
         return model_initial_states(machine, [self.initial])[0]
 

@@ -22,7 +22,7 @@ MAX_SCATTER = 4.0  # Standard deviations of the scatter from run to run within w
 
 
 class EncoderZeros(NamedTuple):
-    """Zeros (measurements at position 0) of the encoders that kept them from run to run.
+    """Zeros of the encoders that kept them from run to run.
 
     Attributes:
         values: Zero of each sensor, m or rad, NaN where it is unknown, shape (sensors,).
@@ -36,7 +36,7 @@ class EncoderZeros(NamedTuple):
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """Mask of the sensors whose zero (measurement at position 0) is known, shape (sensors,)."""
+        """Mask of the sensors whose zero is known, shape (sensors,)."""
         return np.isfinite(self.values)
 
     @property
@@ -47,7 +47,7 @@ class EncoderZeros(NamedTuple):
 
     @classmethod
     def of_machine(cls, machine: Machine) -> EncoderZeros:
-        """Read the zeros (measurements at position 0) from the sensors of a machine.
+        """Read the zeros from the sensors of a machine.
 
         Args:
             machine: Machine; the sensors of an identified one may have a zero (attribute `Sensor.zero`).
@@ -62,7 +62,7 @@ class EncoderZeros(NamedTuple):
         )
 
     def in_machine(self, machine: Machine) -> Machine:
-        """Return a copy of a machine whose sensors have these zeros (measurements at position 0).
+        """Return a copy of a machine whose sensors have these zeros.
 
         Args:
             machine: Machine to copy; it is not changed. It has one sensor per zero, in the same order.
@@ -84,7 +84,7 @@ class EncoderZeros(NamedTuple):
         )
 
     def without(self, sensors: NDArray[np.bool_]) -> EncoderZeros:
-        """Return a copy in which the zeros (measurements at position 0) of some sensors are unknown.
+        """Return a copy in which the zeros of some sensors are unknown.
 
         Args:
             sensors: True for the sensors whose zeros become unknown, shape (sensors,).
@@ -95,8 +95,7 @@ class EncoderZeros(NamedTuple):
 def zero_tolerance(machine: Machine, zeros: EncoderZeros, quanta: Quanta) -> Array:
     """Return by how much an encoder's zero in one run may differ from its session zero (all runs).
 
-    The zero is the measurement at position 0. If it differs by more, the encoder was switched on anew for
-    this run.
+    If it differs by more, the encoder was switched on anew for this run.
 
     Args:
         machine: Machine with belts.

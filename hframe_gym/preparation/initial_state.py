@@ -39,9 +39,8 @@ def measured_initial_state(
 ) -> InitialState:
     """Estimate the initial state of a run from its measurements at rest and the encoder zeros of all runs.
 
-    The zero of an encoder is its measurement at position 0. A session is all runs of a rig together; an
-    encoder that stays on counts from the same zero in all of them. Positions follow from measurement minus
-    zero:
+    An encoder that stays on counts from the same zero in all runs of a session. Positions follow from
+    measurement minus zero:
 
     - Lasers have a fixed zero and give the positions of the carriages, if they measured at rest.
     - Encoders with a zero of the session give the angles of their pulleys and, without lasers, the positions.
@@ -110,8 +109,8 @@ def model_initial_states(machine: Machine, initial: Sequence[InitialState]) -> l
     """Return the states where simulations of a machine start, given the measurements at rest of each run.
 
     The state depends on the machine's effects, which may change measurements and exert forces at rest. If the
-    zero of an encoder (its measurement at position 0) is known, the encoder gives the angle of its pulley.
-    All other angles are those in static equilibrium.
+    zero of an encoder is known, the encoder gives the angle of its pulley. All other angles are those in
+    static equilibrium.
 
     Zeros that were estimated without an effect may be wrong and would indicate a belt stretch that does not
     exist. Therefore, until `refine_encoder_zeros` has corrected them, the static equilibrium gives the angles
@@ -249,7 +248,7 @@ def _without_measurement_effects(machine: Machine, initial: InitialState, positi
 
 
 def encoder_zero_errors(machine: Machine, initial: Sequence[InitialState]) -> Array:
-    """Estimate errors of the encoders' zeros (at position 0) from the equilibrium of a fitted machine.
+    """Estimate errors of the encoders' zeros from the equilibrium of a fitted machine.
 
     `common_encoder_zeros` assumes that the belts are unstretched on average over the runs. This is wrong if a
     force at rest, from a cable or a tilt, always stretches them in the same direction.

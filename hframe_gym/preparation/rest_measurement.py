@@ -74,8 +74,8 @@ class InitialState:
     Attributes:
         state: Positions (m, rad), then velocities (m/s, rad/s), at the first row, shape (2 * coordinates,).
             The velocities are zero unless the run begins in motion.
-        zeros: Zeros of the sensors (measurements at position 0), in the sensors' units, shape (sensors,); the
-            argument `offset` of `simulate`.
+        zeros: Zeros of the sensors, in the sensors' units, shape (sensors,); the argument `offset` of
+            `simulate`.
         resting_rows: Number of rows at rest at the beginning of the run.
         zero_spread: Standard deviation of each encoder's zero from run to run, in the sensors' units,
             shape (sensors,); 0 for an encoder without a known zero, and for one that does not resolve the
@@ -177,7 +177,7 @@ def settled_rows(resting_rows: int) -> slice:
 def estimate_initial_state(
     recording: Recording, machine: Machine, zeros: EncoderZeros | None = None
 ) -> InitialState:
-    """Estimate the state at rest and the sensors' zeros (measurements at position 0) from one run.
+    """Estimate the state at rest and the sensors' zeros from one run.
 
     Sensors with a known zero determine the position: lasers, whose zero is fixed, and encoders whose zero is
     given. Other encoders are used only where nothing else measures; one on a coordinate whose position is

@@ -20,7 +20,7 @@ _MOVING_STRETCH = 4.0  # times the typical stretch of the belts at the start of 
 def sensor_zero_error(
     error: Array, weights: Array, resting_rows: int, max_mean: Array, quanta: Quanta
 ) -> Array:
-    """Estimate the errors of the sensors' zeros (measurements at position 0) from prediction errors.
+    """Estimate the errors of the sensors' zeros from prediction errors.
 
     The estimate is the mean error over the complete run, limited to the range +-`max_mean` around the mean
     error over the later half of the rows at rest. The limit is needed because a constant force may also cause
@@ -73,9 +73,9 @@ def zeros_from_means(
 def max_zero_means(behind: NDArray[np.bool_], quanta: Quanta) -> Array:
     """Return how far the zero of each sensor may differ from its estimate by the rows at rest.
 
-    The zero is the measurement at position 0. The rows at rest determine it only to within the quantization;
-    for an encoder behind belts not at all, because friction holds an unknown stretch of the belts at rest. Up
-    to these limits, `sensor_zero_error` counts the mean prediction error over a run as an error of the zero.
+    The rows at rest determine it only to within the quantization; for an encoder behind belts not at all,
+    because friction holds an unknown stretch of the belts at rest. Up to these limits, `sensor_zero_error`
+    counts the mean prediction error over a run as an error of the zero.
 
     Args:
         behind: True for encoders on pulleys, which elastic belts separate from the tool, shape (sensors,).

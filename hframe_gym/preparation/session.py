@@ -125,9 +125,9 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
 
     Returns:
         Data set with one prepared recording per run: its initial state, and its measurements minus the
-        sensors' zeros (measurements at position 0), in the sensors' units, shape (n, sensors). For all runs:
-        noise and quantization step of each sensor, in the sensors' units, shape (sensors,), and the zeros of
-        the encoders that have the same one in all runs.
+        sensors' zeros, in the sensors' units, shape (n, sensors). For all runs: noise and quantization step
+        of each sensor, in the sensors' units, shape (sensors,), and the zeros of the encoders that have the
+        same one in all runs.
     """
     filled = [without_unknown_voltage(fill_gaps(recording), machine) for recording in recordings]
     channels = [[recording.outputs[:, j] for recording in filled] for j in range(len(machine.sensors))]

@@ -25,7 +25,7 @@ _MIN_STRETCH = 0.1e-3  # rad; zeros that scatter by less from run to run show no
 
 
 def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quanta: Quanta) -> EncoderZeros:
-    """Find the encoders that kept their zero (measurement at position 0) in all runs of a session.
+    """Find the encoders that kept their zero in all runs of a session.
 
     An encoder on a pulley kept its zero if the standard deviation of the zero from run to run is below the
     belt stretch that static friction can maintain, or below two quantization steps. The zeros of an encoder
@@ -68,7 +68,7 @@ def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quan
 
 
 def refine_encoder_zeros(data: Dataset, machine: Machine, reference: Dataset | None = None) -> Dataset:
-    """Copy a data set, with zeros (measurements at position 0) of the encoders corrected by a fitted machine.
+    """Copy a data set, with zeros of the encoders corrected by a fitted machine.
 
     `prepare` estimates zeros as if the belts were unstretched at rest. The effects of the fitted machine give
     the forces that stretch the belts at rest; this stretch is the error of the zeros.

@@ -34,8 +34,7 @@ def held_out_gain(selected: SelectedEffect, machine: Machine, held_out: Dataset,
         selected: Effect that the search selected.
         machine: Machine with all effects.
         held_out: Held-out runs, which were not fitted.
-        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a
-            simulation.
+        bandwidth: Bandwidth of the observer, rad/s; 0 for a simulation.
 
     Returns:
         Fraction, dimensionless, at most 1; negative if the effect increases the error, as `error_reduction`
@@ -67,8 +66,7 @@ def error_reduction(without: Machine, machine: Machine, held_out: Dataset, bandw
 
     Args:
         without: Machine to compare with, for example without an effect.
-        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a
-            simulation.
+        bandwidth: Bandwidth of the observer, rad/s; 0 for a simulation.
 
     Returns:
         Fraction, dimensionless, at most 1; negative if the error is larger, not finite if a machine diverges.
@@ -123,8 +121,7 @@ def is_excited(selected: SelectedEffect, machine: Machine, held_out: Dataset, ba
         selected: Effect that the search selected.
         machine: Machine with all effects.
         held_out: Held-out runs.
-        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a
-            simulation.
+        bandwidth: Bandwidth of the observer, rad/s; 0 for a simulation.
 
     Returns:
         True if the root mean square change of the predictions is at least 1/20 of the root mean square error,
@@ -152,8 +149,7 @@ def shown_effects(
         selected: Effects that the search selected.
         machine: Machine with all effects.
         held_out: Held-out runs, which were not fitted.
-        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a
-            simulation.
+        bandwidth: Bandwidth of the observer, rad/s; 0 for a simulation.
     """
     return {
         s.effect.label: judge.HeldOutEffect(

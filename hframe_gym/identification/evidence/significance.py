@@ -97,8 +97,7 @@ def doubt_about_candidate(
 
     Args:
         current: Fit of the machine without the effect.
-        trial: Fit of the machine with the effect. Both fits have the same observer bandwidth (the observer
-            corrects predictions by the measurements).
+        trial: Fit of the machine with the effect. Both fits have the same observer bandwidth.
         effect: The effect. Default: the last one of the machine.
 
     Returns:
@@ -117,8 +116,7 @@ def doubt_beside_others(
 
     Args:
         reduced: Fit of the machine with all other effects.
-        complete: Fit of the machine with all effects. Both fits have the same observer bandwidth (the
-            observer corrects predictions by the measurements).
+        complete: Fit of the machine with all effects. Both fits have the same observer bandwidth.
 
     Returns:
         Clause that follows "it ", such as "has no effect on the error", by

@@ -95,8 +95,7 @@ class ResidualModel:
         machine: Machine that supplies everything but the free parameters.
         free: Free parameters.
         data: Runs to predict.
-        bandwidth: Bandwidth of the observer that corrects predictions by measurements, rad/s; 0 for a
-            simulation.
+        bandwidth: Bandwidth of the observer, rad/s; 0 for a simulation.
         longest_step: Maximum integration step, s.
         rows_per_block: How many samples are combined into one row (sum / square root of the number).
         difference_step: Change of theta over which derivatives are computed. Default: 1e-4; 0.01 where parts
@@ -123,10 +122,10 @@ class ResidualModel:
         """Compare a batch of predictions of a run with its measurements.
 
         The residual of a sample is (measured - predicted) / standard deviation of the measurement's noise,
-        after subtraction of the constant error that a wrong zero of the sensor (measurement at position 0)
-        causes. At rest, a quantized sensor repeats one rounding error: N such samples have the weight of one
-        (factor 1 / sqrt(N) each). The residuals of `rows_per_block` successive samples form a block with one
-        value per sensor: their sum / sqrt(rows_per_block).
+        after subtraction of the constant error that a wrong zero of the sensor causes. At rest, a quantized
+        sensor repeats one rounding error: N such samples have the weight of one (factor 1 / sqrt(N) each).
+        The residuals of `rows_per_block` successive samples form a block with one value per sensor: their sum
+        / sqrt(rows_per_block).
 
         Args:
             run: Measured run of n samples.

@@ -171,7 +171,7 @@ def whitened(residual: Array, run: PreparedRecording, bandwidth: float) -> Array
     Args:
         residual: Residuals of a batch of predictions, in units of the noise, shape (batch, n * sensors).
         run: The run that was predicted.
-        bandwidth: Bandwidth of the observer of the predictions, rad/s.
+        bandwidth: Bandwidth of the observer, rad/s.
 
     Returns:
         Residuals of the same shape; the given ones if the voltages are held, or if the observer is too
@@ -260,8 +260,8 @@ def predict(
     Args:
         machine: Machine that predicts; its effects also determine the initial state.
         run: Run to predict, n samples.
-        bandwidth: Bandwidth of the observer that corrects the prediction by the measurements, rad/s; 0 for
-            none. A run may have another one (`PreparedRecording.observer_bandwidth`).
+        bandwidth: Bandwidth of the observer, rad/s; 0 for none. A run may have another one
+            (`PreparedRecording.observer_bandwidth`).
         period: Sampling period, s.
         parameters: All parameters, SI, as in `Machine.parameters`, shape (batch, parameters). Default: the
             machine's.
@@ -364,9 +364,9 @@ def block_size(seconds: float, machine: Machine, data: Dataset) -> int:
 def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array) -> Array:
     """Return measured minus predicted values, without the constant error that uncertain sensor zeros cause.
 
-    A zero is the measurement at position 0. For encoders behind belts, the constant error is the mean error
-    over the complete run. For all other sensors, it is the mean error over the rows at rest, changed by at
-    most half a quantization step towards the mean over the complete run.
+    For encoders behind belts, the constant error is the mean error over the complete run. For all other
+    sensors, it is the mean error over the rows at rest, changed by at most half a quantization step towards
+    the mean over the complete run.
 
     Args:
         run: Measured run, n samples.
@@ -404,8 +404,7 @@ def residuals(
 ) -> Array:
     """Return measured minus predicted values, divided by the standard deviations of the measurements' noise.
 
-    The constant error that uncertain sensor zeros (measurements at position 0) cause is estimated and
-    subtracted first.
+    The constant error that uncertain sensor zeros cause is estimated and subtracted first.
 
     Args:
         run: Measured run, n samples, with the standard deviation of each value's noise.

@@ -331,8 +331,7 @@ def predict_with_displaced_starts(
 
     Args:
         run: Run to predict, n samples.
-        bandwidth: Bandwidth of the observer that corrects the prediction by the measurements, rad/s; 0 for
-            none.
+        bandwidth: Bandwidth of the observer, rad/s; 0 for none.
         start: State from which the run is predicted, with s displacements.
         period: Sampling period, s.
         parameters: Parameters, SI, as in `Machine.parameters`, shape (batch, parameters); the first set is
@@ -392,8 +391,7 @@ def prediction_residuals(
 
     Args:
         run: Run to predict, n samples.
-        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a
-            simulation.
+        bandwidth: Bandwidth of the observer, rad/s; 0 for a simulation.
         start: State from which the run is predicted. Default: that of `uncertain_starts`.
         longest_step: Maximum integration step, s.
 

@@ -123,7 +123,7 @@ def expected_excess(machine: Machine, data: Dataset, bandwidth: float) -> float:
     Args:
         machine: Machine, refitted to these runs.
         data: Runs whose voltages change between the rows.
-        bandwidth: Bandwidth of the observer that corrects the predictions, rad/s.
+        bandwidth: Bandwidth of the observer, rad/s.
     """
 
     def of_run(run: PreparedRecording) -> float:
@@ -291,7 +291,7 @@ class InterpolationErrors(VoltageErrors):
         """Return what makes the residual, shape (n * sensors,), white; it is computed once for each observer.
 
         Args:
-            bandwidth: Bandwidth of the observer that corrects the predictions, rad/s.
+            bandwidth: Bandwidth of the observer, rad/s.
         """
         return self._prepared(bandwidth)[0]
 
@@ -322,7 +322,7 @@ class InterpolationErrors(VoltageErrors):
         """Return the change of the residual by errors of one standard deviation, shape (n * sensors, errors).
 
         Args:
-            bandwidth: Bandwidth of the observer that corrects the predictions, rad/s.
+            bandwidth: Bandwidth of the observer, rad/s.
         """
         intervals = np.arange(len(self._run.time_s) - 1)
         per_volt, _ = voltage_responses(

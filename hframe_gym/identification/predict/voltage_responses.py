@@ -44,7 +44,7 @@ def voltage_responses(
         run: Run to predict, n samples.
         data: Data set of the run.
         rows: Rows whose voltages may be wrong, in ascending order, shape (r,).
-        bandwidth: Bandwidth of the observer that corrects the prediction, rad/s.
+        bandwidth: Bandwidth of the observer, rad/s.
         per_block: Rows of the residual that are combined into one. Default: those within 4 ms.
         settled: Product of bandwidth and time after which a response counts as corrected, dimensionless.
         longest_step: Maximum integration step, s.
