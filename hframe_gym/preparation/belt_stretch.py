@@ -100,13 +100,10 @@ def _forces_at_rest(machine: Machine, positions: Array) -> Array:
 
 
 def max_held_angle(machine: Machine) -> Array:
-    """Return how far static friction can hold each pulley away from its angle with unstretched belts.
+    """Return how far static friction can hold each pulley of a machine with belts away from equilibrium.
 
     This is a generous estimate: 2 F / (k r) with the Coulomb friction F of all coordinates together, as a
     force at the belt, the mean stiffness k of the belts and the radius r of the pulley.
-
-    Args:
-        machine: Machine with belts.
 
     Returns:
         Largest deviation of the pulley's angle at each sensor, rad, shape (sensors,); 0 for sensors on linear

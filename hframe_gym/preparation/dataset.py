@@ -122,14 +122,7 @@ class PreparedRecording:
     clock_voltages: ClockVoltages | None = field(default=None, repr=False)
 
     def bandwidth(self, of_prediction: float) -> float:
-        """Return the bandwidth of the observer that corrects a prediction of this run by the measurements.
-
-        Args:
-            of_prediction: Bandwidth that applies to runs without one, rad/s.
-
-        Returns:
-            `observer_bandwidth` if the run has one, rad/s; otherwise the given one.
-        """
+        """Return the observer's bandwidth for this run, rad/s: its own, or else `of_prediction`, rad/s."""
         return of_prediction if self.observer_bandwidth is None else self.observer_bandwidth
 
     @property
@@ -211,9 +204,6 @@ class PreparedRecording:
         It follows from the measurements at rest and from the machine, because effects may change what sensors
         measure, and forces at rest stretch the belts.
 
-        Args:
-            machine: Machine with its effects, which may add coordinates.
-
         Returns:
             Positions (m, rad), velocities (m/s, rad/s) and states of the effects (SI; 0 unless estimated),
             shape (2 * coordinates + effect states,).
@@ -282,14 +272,7 @@ class Dataset:
         return np.where(by_mean, np.inf, max_zero_means(self.behind_belts, self.quantum))
 
     def with_runs(self, names: Sequence[str]) -> Dataset:
-        """Return a copy with some of the runs; the sensors' noise and quantization steps stay as they are.
-
-        Args:
-            names: Names of the runs to keep; names of other runs are ignored.
-
-        Returns:
-            Copy with these runs, in the order of this data set.
-        """
+        """Return a copy with the named runs, in their present order, with the same noise and quantization."""
         return dataclasses.replace(self, runs=tuple(run for run in self.runs if run.name in names))
 
     def leaving_out(self, piece: int, pieces: int) -> tuple[Dataset, Dataset]:
@@ -393,14 +376,9 @@ class Dataset:
         return tuple(dataclasses.replace(self, runs=(run,)) for run in self.runs)
 
     def measured_values(self, sensor: int) -> Array:
-        """Return what a sensor measured in all runs.
+        """Return what a sensor, by its index, measured in all runs, minus its zero, m or rad, shape (m,).
 
-        Args:
-            sensor: Index of the sensor in the machine, from 0.
-
-        Returns:
-            Measurements minus the sensor's zero, m or rad, one run after the other, without the rows in which
-            the sensor did not measure, shape (m,).
+        Rows in which the sensor did not measure are left out.
         """
         values = np.concatenate([run.outputs[:, sensor] for run in self.runs])
         return values[np.isfinite(values)]

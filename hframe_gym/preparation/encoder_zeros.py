@@ -47,15 +47,7 @@ class EncoderZeros(NamedTuple):
 
     @classmethod
     def of_machine(cls, machine: Machine) -> EncoderZeros:
-        """Read the zeros from the sensors of a machine.
-
-        Args:
-            machine: Machine; the sensors of an identified one may have a zero (attribute `Sensor.zero`).
-
-        Returns:
-            Zeros of all sensors, in the sensors' units, shape (sensors,); NaN (unknown) where the machine
-            file has none.
-        """
+        """Read the zeros from a machine's sensors, in their units, shape (sensors,); NaN for none."""
         return cls(
             np.array([np.nan if s.zero is None else s.zero for s in machine.sensors], float),
             np.array([s.zero_std or 0.0 for s in machine.sensors], float),

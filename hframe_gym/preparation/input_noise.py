@@ -36,16 +36,10 @@ _FORCE_UNITS = ("A", "Nm")
 
 
 def noise_of_input(values: Array) -> float:
-    """Estimate the noise by which an input changes from row to row.
+    """Estimate the noise of `values` of an input, in its unit, shape (n,); 0 for fewer than three rows.
 
     The median of second differences is zero for a command that holds its values over several rows, and small
     for one that is smooth.
-
-    Args:
-        values: Input, shape (n,).
-
-    Returns:
-        Standard deviation, in the unit of the input; 0 for fewer than three rows.
     """
     return white_noise([values], 2)
 

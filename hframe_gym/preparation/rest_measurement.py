@@ -129,16 +129,11 @@ class InitialState:
         return np.concatenate([self.state, states])
 
     def with_start(self, machine: Machine, start: Array) -> InitialState:
-        """Return a copy with another complete initial state, in the format that the method `start` returns.
+        """Return a copy with another complete initial state, as the method `start` returns it.
 
         Args:
-            machine: Machine with its effects, which name the last entries of `start`.
             start: Positions (m, rad), velocities (m/s, rad/s), effect states (SI),
                 shape (2 * coordinates + effect states,).
-
-        Returns:
-            Copy whose `state`, shape (2 * coordinates,), and `effect_states` hold the values of the argument
-            `start`.
         """
         names = [(i.effect.label, i.component) for i in instances_with_state(machine)]
         state, states = np.split(start, [len(start) - len(names)])
@@ -163,14 +158,7 @@ class InitialState:
 
 
 def settled_rows(resting_rows: int) -> slice:
-    """Select the later half of the rows at rest, where a vibration from before the run has decayed.
-
-    Args:
-        resting_rows: Number of rows at rest at the beginning of a run, at least 1.
-
-    Returns:
-        Slice of row indices; its rows are the later half of the rows at rest.
-    """
+    """Select the later half of the rows at rest (at least 1), where an earlier vibration has decayed."""
     return slice(resting_rows // 2, resting_rows)
 
 

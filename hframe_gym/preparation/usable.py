@@ -111,13 +111,8 @@ def from_first_measurement(recording: Recording, machine: Machine) -> Recording:
 def without_unknown_voltage(recording: Recording, machine: Machine) -> Recording:
     """Copy a recording without what its first row measures of the voltage before it, which is not known.
 
-    These are accelerations and currents: they jump with the voltage, and their cells become NaN.
-
-    Args:
-        recording: Run (times, s; voltages, V; measurements in the units of the channels).
-
-    Returns:
-        Copy; the same object if no sensor measures such a quantity.
+    These are accelerations and currents: they jump with the voltage, and their cells become NaN. If no sensor
+    measures such a quantity, the result is the recording itself.
     """
     felt = np.array([s.sensed.jumps for s in machine.sensors], np.bool_)
     if not felt.any():

@@ -31,9 +31,7 @@ def held_out_gain(selected: SelectedEffect, machine: Machine, held_out: Dataset,
     the error of a simulation decides, provided that the effect removes more than half of that.
 
     Args:
-        selected: Effect that the search selected.
         machine: Machine with all effects.
-        held_out: Held-out runs, which were not fitted.
         bandwidth: Bandwidth of the observer, rad/s; 0 for a simulation.
 
     Returns:
@@ -97,7 +95,6 @@ def worsens_simulation(without: Machine, machine: Machine, held_out: Dataset) ->
     Args:
         without: Refitted machine without the effects.
         machine: Machine with all effects.
-        held_out: Held-out runs.
 
     Returns:
         True if the ratio of the squared simulation errors, with effects / without effects, has a geometric
@@ -118,9 +115,7 @@ def is_excited(selected: SelectedEffect, machine: Machine, held_out: Dataset, ba
     force on a carriage that friction holds.
 
     Args:
-        selected: Effect that the search selected.
         machine: Machine with all effects.
-        held_out: Held-out runs.
         bandwidth: Bandwidth of the observer, rad/s; 0 for a simulation.
 
     Returns:
@@ -146,9 +141,7 @@ def shown_effects(
     """Return what the held-out runs say about each of several effects, by its label.
 
     Args:
-        selected: Effects that the search selected.
         machine: Machine with all effects.
-        held_out: Held-out runs, which were not fitted.
         bandwidth: Bandwidth of the observer, rad/s; 0 for a simulation.
     """
     return {
@@ -172,7 +165,6 @@ def contradicting_held_out_runs(
         after: Fit of the machine with the selected effects.
         before: Refitted machine without effects.
         selected: The selected effects.
-        held_out: Held-out runs.
 
     Returns:
         Names of the runs that contradict (`judge.run.contradicts`), at the observer bandwidth of the fit.

@@ -98,15 +98,7 @@ def limited_last(trials: list[Fit], current: Fit) -> list[Fit]:
 
 
 def selected_first(best: Fit, trials: list[Fit]) -> list[Fit]:
-    """Return trial fits with the converged fit of one effect in the first place, instead of its trial.
-
-    Args:
-        best: Converged fit with the selected effect.
-        trials: Fits with one candidate effect each.
-
-    Returns:
-        New list: `best`, then the trials with other effects.
-    """
+    """Return trial fits with `best`, the converged fit of one effect, first and in place of its trial."""
     label = best.machine.effects[-1].label
     return [best, *(t for t in trials if t.machine.effects[-1].label != label)]
 

@@ -37,14 +37,11 @@ from ..predict.start_uncertainty import (
 def effect_force(machine: Machine, effect: AppliedEffect, data: Dataset) -> float:
     """Return the root mean square force that an effect adds to a machine during the recordings.
 
-    Args:
-        machine: Machine with or without the effect; the motion is predicted without it.
-        data: Runs over which the machine is predicted.
+    The motion is predicted without the effect.
 
     Returns:
-        sqrt(mean over time of the sum of F^2 over the coordinates), N, with the effect's force F at the belt
-        (torque / pulley radius); infinite for an effect that adds coordinates or changes a measurement or the
-        clock.
+        Force at the belt (torque / pulley radius), N, as `force_size`; infinite for an effect that adds
+        coordinates or changes a measurement or the clock.
     """
     definition = effect.definition
     if definition.structure or definition.measurement or definition.measurement_delay or definition.clock:
@@ -62,11 +59,9 @@ def force_difference(first: Machine, second: Machine, data: Dataset) -> float:
     Args:
         first: Machine whose predicted motion is used.
         second: Machine with the same coordinates.
-        data: Runs over which the motion is predicted.
 
     Returns:
-        sqrt(mean over time of the sum of F^2 over the coordinates), N, with the force F of each coordinate at
-        the belt (torque / pulley radius).
+        Force at the belt (torque / pulley radius), N, as `force_size`.
     """
 
     def of_run(run: PreparedRecording) -> Array:
@@ -81,26 +76,14 @@ def force_difference(first: Machine, second: Machine, data: Dataset) -> float:
 def drive_force(machine: Machine, data: Dataset) -> float:
     """Return the root mean square force that the recorded voltages cause in the drives, without back-EMF.
 
-    Args:
-        data: Runs with the voltages.
-
-    Returns:
-        sqrt(mean over time of the sum of F^2 over the drives), N, with the force F of each drive at the belt
-        (torque / pulley radius).
+    It is the force at the belt (torque / pulley radius), N, as `force_size`.
     """
     gains = [drive.gain / machine.coordinate(drive.coordinate).travel_per_unit for drive in machine.drives]
     return force_size(np.concatenate([run.inputs for run in data.runs]) * gains)
 
 
 def force_size(force: Array) -> float:
-    """Return the root mean square over time of a force with several components.
-
-    Args:
-        force: Forces at n samples, N, shape (n, coordinates).
-
-    Returns:
-        sqrt(mean over the samples of the sum of force^2 over the coordinates), N.
-    """
+    """Return the root mean square length of `force`, N, with a vector in each row, shape (n, coordinates)."""
     return float(np.sqrt(np.mean(np.sum(force**2, axis=1))))
 
 
@@ -115,8 +98,7 @@ def residue_force(fitted: Fit, data: Dataset) -> float:
             rad/s is used.
 
     Returns:
-        sqrt(mean over time of the sum of F^2 over the coordinates), N, with the force F of each coordinate at
-        the belt (torque / pulley radius).
+        Force at the belt (torque / pulley radius), N, as `force_size`.
     """
     # The narrowest observer measures it where none is needed.
     bandwidth = max(fitted.bandwidth, BANDWIDTHS[-2])

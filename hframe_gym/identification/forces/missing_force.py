@@ -343,14 +343,11 @@ def _inverted(
 
 
 def low_pass(values: Array, period: float) -> Array:
-    """Return what the missing force would show of a signal: its part below 30 Hz, without phase lag.
+    """Return what the missing force would show of a signal: its part below 30 Hz, shape (n, k), without lag.
 
     Args:
         values: Signal, shape (n, k).
         period: Sampling period, s.
-
-    Returns:
-        Its part below 30 Hz, shape (n, k).
     """
     return _low_pass(values, _RESIDUAL_CUTOFF, period)
 

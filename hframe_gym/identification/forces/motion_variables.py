@@ -92,14 +92,7 @@ def variables_of_motion(
 
 
 def smooth_sign(velocity: Array) -> Array:
-    """Return the direction of a motion, between -1 and 1 where it is slow.
-
-    Args:
-        velocity: Velocity, m/s or rad/s, shape (n,).
-
-    Returns:
-        Direction, dimensionless, shape (n,).
-    """
+    """Return the direction of a `velocity`, m/s or rad/s, shape (n,): between -1 and 1 where it is slow."""
     slow = _SLOW * float(np.sqrt(np.mean(velocity**2)))
     return velocity / (np.abs(velocity) + slow) if slow > 0.0 else np.zeros_like(velocity)
 

@@ -92,55 +92,30 @@ class FreeParameter:
         return theta < low < 0.0 or 0.0 < high < theta
 
     def beyond_limit(self, theta: float) -> bool:
-        """Return whether a value is outside the range that a fit from this center can reach.
+        """Return whether `theta`, dimensionless, of another fit is out of reach of a fit from this center.
 
-        Args:
-            theta: Dimensionless optimizer variable of a value that another fit found.
-
-        Returns:
-            True beyond 101 % of the way from 0 to its smallest or largest permitted value (`theta_limits`).
+        It is beyond 101 % of the way from 0 to the smallest or largest permitted value (`theta_limits`).
         """
         low, high = ((1.0 + _LIMIT_TOLERANCE) * limit for limit in self.theta_limits)
         return theta < low < 0.0 or 0.0 < high < theta
 
     def value(self, theta: Array) -> Array:
-        """Convert theta to the parameter's value, clipped to its bounds.
-
-        Args:
-            theta: Dimensionless optimizer variable, any shape.
-
-        Returns:
-            Values of the parameter, SI, within its bounds, in the shape of theta.
-        """
+        """Convert `theta`, dimensionless, of any shape, to the value, SI, clipped to the bounds."""
         raw = self.center * np.exp(theta) if self.scale is None else self.center + self.scale * theta
         # For few values, a fifth of the time of `clip`.
         return np.minimum(np.maximum(raw, self.lower), self.upper)
 
     def theta(self, value: float) -> float:
-        """Convert a value of the parameter to theta, the dimensionless variable of the optimizer.
-
-        Args:
-            value: Value of the parameter, SI. If the parameter is fitted as a logarithm, the value must have
-                the sign of the attribute `center`.
-
-        Returns:
-            Theta, dimensionless.
+        """Convert `value`, SI, to theta, the dimensionless variable of the optimizer.
 
         Raises:
-            ValueError: If the parameter is fitted as a logarithm and the value is zero or has the opposite
-                sign.
+            ValueError: If the parameter is fitted as a logarithm and the value is zero or has not the sign of
+                the attribute `center`.
         """
         return math.log(value / self.center) if self.scale is None else (value - self.center) / self.scale
 
     def slope(self, theta: float) -> float:
-        """Return the derivative of the parameter's value by theta, the optimizer's dimensionless variable.
-
-        Args:
-            theta: Theta at which the derivative is computed.
-
-        Returns:
-            d value / d theta, in the SI unit of the value. The bounds are not considered.
-        """
+        """Return the derivative of the unbounded value, SI, by `theta`, dimensionless."""
         return self.center * math.exp(theta) if self.scale is None else self.scale
 
     def prior_std(self, value: float) -> float:
@@ -193,14 +168,7 @@ def parameter_table(machine: Machine, free: Sequence[FreeParameter], thetas: Arr
 
 
 def second_difference_penalty(count: int) -> Array:
-    """Return the matrix P for which y^T P y is the sum of squared second differences of ordinates y.
-
-    Args:
-        count: Number of ordinates.
-
-    Returns:
-        P = D^T D with the second-difference operator D, dimensionless, shape (count, count).
-    """
+    """Return the matrix of the sum of squared second differences of ordinates, shape (count, count)."""
     second_difference = np.diff(np.eye(count), n=2, axis=0)
     penalty: Array = second_difference.T @ second_difference
     return penalty

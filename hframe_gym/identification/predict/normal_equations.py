@@ -80,12 +80,7 @@ class NormalEquations:
         Args:
             jacobian: J transposed, dimensionless, shape (k, rows).
             residual: Residual r, dimensionless, shape (rows,).
-            count: Number of independent measured values of the run, dimensionless.
-            pieces: Number of pieces.
-
-        Returns:
-            For each piece, J^T J, shape (k, k), J^T r, shape (k,), r^T r and its part of `count`,
-            dimensionless.
+            count: Number of independent measured values of the run, dimensionless, which the pieces share.
         """
         parts = zip(np.array_split(jacobian, pieces, 1), np.array_split(residual, pieces), strict=True)
         return [cls.from_rows(*part, count=count / pieces) for part in parts]
