@@ -23,18 +23,17 @@ REPEATS = 7
 _CHUNK = 32  # blocks of SIMD lanes that are advanced together
 
 
-def random_voltages(batch: int, periods: int = PERIODS, inputs: int = 2) -> Array:
+def random_voltages(batch: int, inputs: int = 2) -> Array:
     """Return random voltages.
 
     Args:
         batch: Number of stages.
-        periods: Number of voltages in a history.
         inputs: Number of drives.
 
     Returns:
-        Voltages, V, shape (periods, batch, inputs).
+        Voltages, V, shape (PERIODS, batch, inputs).
     """
-    return np.random.default_rng(SEED).uniform(-VOLTS, VOLTS, (periods, batch, inputs))
+    return np.random.default_rng(SEED).uniform(-VOLTS, VOLTS, (PERIODS, batch, inputs))
 
 
 @dataclass

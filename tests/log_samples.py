@@ -63,7 +63,7 @@ def wpilog(*records: bytes) -> bytes:
     return b"WPILOG\0\1" + struct.pack("<I", len(extra)) + extra + b"".join(records)
 
 
-def wpilog_of_a_drive(count: int = COUNT) -> bytes:
+def wpilog_of_a_drive() -> bytes:
     """Return a log of a drive: a voltage every period, a position 3 ms later, an array and texts besides."""
     rows = [
         wpilog_start(1, "/drive/voltage", "double"),
@@ -76,7 +76,7 @@ def wpilog_of_a_drive(count: int = COUNT) -> bytes:
         wpilog_record(2, 5, b"auto"),
         wpilog_record(4, 5, b"x"),
     ]
-    for k in range(count):
+    for k in range(COUNT):
         rows.append(wpilog_record(1, k * WPILOG_PERIOD_US, struct.pack("<d", 6.0 * (k >= 10))))
         rows.append(wpilog_record(300, k * WPILOG_PERIOD_US + 3000, struct.pack("<f", 0.01 * max(k - 10, 0))))
         rows.append(
@@ -238,10 +238,10 @@ def _topics(store: Any, delay: int) -> list[tuple[str, str, list[Any]]]:
     ]
 
 
-def write_ros2(path: Path, storage: rosbag2.StoragePlugin, delay: int = 2_000_000, version: int = 9) -> None:
+def write_ros2(path: Path, storage: rosbag2.StoragePlugin, delay: int = 2_000_000) -> None:
     """Write a bag of ROS 2."""
     store = get_typestore(Stores.ROS2_HUMBLE)
-    with rosbag2.Writer(path, version=version, storage_plugin=storage) as writer:
+    with rosbag2.Writer(path, version=9, storage_plugin=storage) as writer:
         for topic, kind, messages in _topics(store, delay):
             connection = writer.add_connection(topic, kind, typestore=store)
             for k, message in enumerate(messages):

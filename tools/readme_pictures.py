@@ -224,7 +224,7 @@ def make_report(path: Path) -> None:
             # In the folder, so that the commands on the page have the short paths that users see.
             command = [sys.executable, "-m", "hframe_gym", "identify", runs, "--out", "out/rig_a"]
             subprocess.run(command, cwd=folder, env=os.environ | {"PYTHONPATH": str(ROOT)}, check=True)
-        screenshot(_browser(), (report / "report.html").as_uri(), path, REPORT_SIZE)
+        screenshot(_browser(), (report / "report.html").as_uri(), path)
     _reduce_colors(path)
 
 
@@ -241,7 +241,7 @@ def make_scorecard(path: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         environment = os.environ | {"PYTHONPATH": str(ROOT)}
         subprocess.run([*command, "--html", "--out", "scores"], cwd=folder, env=environment, check=True)
-        screenshot(_browser(), (Path(folder) / "scores" / "scorecard.html").as_uri(), path, REPORT_SIZE)
+        screenshot(_browser(), (Path(folder) / "scores" / "scorecard.html").as_uri(), path)
     _reduce_colors(path)
 
 
@@ -259,19 +259,19 @@ def _reduce_colors(path: Path) -> None:
         picture.convert("RGB").quantize(128, Image.Quantize.MEDIANCUT).save(path, optimize=True)
 
 
-def screenshot(browser: str, address: str, path: Path, size: tuple[int, int]) -> None:
-    """Write a picture of a page in headless Chromium.
+def screenshot(browser: str, address: str, path: Path) -> None:
+    """Write a picture of a page in headless Chromium, with a window of `REPORT_SIZE`.
 
     Args:
         browser: Path of the browser.
         path: PNG file.
-        size: Width and height of the window, pixels.
 
     Raises:
         subprocess.CalledProcessError: If the browser fails.
     """
     with tempfile.TemporaryDirectory() as profile:
-        options = [f"--user-data-dir={profile}", f"--window-size={size[0]},{size[1]}", f"--screenshot={path}"]
+        width, height = REPORT_SIZE
+        options = [f"--user-data-dir={profile}", f"--window-size={width},{height}", f"--screenshot={path}"]
         subprocess.run([browser, *CHROMIUM_OPTIONS, *options, address], check=True, capture_output=True)
 
 

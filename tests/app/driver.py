@@ -171,7 +171,7 @@ class Visitor:
             self.press(Keys.ESCAPE)  # the menu stays open for further choices
         self.until("document.querySelectorAll('.q-menu .q-item').length === 0", 5.0)
 
-    def tab_to(self, condition: str, *, back: bool = False) -> None:
+    def tab_to(self, condition: str) -> None:
         """Press Tab until an expression of JavaScript about the focused element, `e`, is true."""
         from selenium.webdriver.common.action_chains import ActionChains
         from selenium.webdriver.common.keys import Keys
@@ -179,12 +179,7 @@ class Visitor:
         for _ in range(80):
             if self.driver.execute_script(f"const e = document.activeElement; return !!({condition})"):
                 return
-            chain = ActionChains(self.driver)
-            (
-                chain.key_down(Keys.SHIFT).send_keys(Keys.TAB).key_up(Keys.SHIFT)
-                if back
-                else chain.send_keys(Keys.TAB)
-            ).perform()
+            ActionChains(self.driver).send_keys(Keys.TAB).perform()
         raise AssertionError(f"the keyboard does not reach: {condition}")
 
     def press(self, key: str) -> None:

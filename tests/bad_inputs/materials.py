@@ -33,9 +33,9 @@ def run_table() -> np.ndarray:
     return np.column_stack([time_s, inputs, simulate(machine, time_s, inputs).outputs])
 
 
-def run_text(rows: int = ROWS) -> str:
-    """Return the first rows of the run as a CSV file."""
-    lines = [",".join(f"{value:.9g}" for value in row) for row in run_table()[:rows]]
+def run_text() -> str:
+    """Return the run as a CSV file."""
+    lines = [",".join(f"{value:.9g}" for value in row) for row in run_table()]
     return "\n".join([",".join(HEADER), *lines]) + "\n"
 
 

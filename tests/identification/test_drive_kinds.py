@@ -115,9 +115,9 @@ def test_the_file_declares_the_bandwidth_and_refuses_what_the_kind_lacks(tmp_pat
         load_machine(path)
 
 
-def duty_motor(supply: str = "vbus_V") -> Machine:
+def duty_motor() -> Machine:
     shaft = Coordinate("shaft", 2.6e-4, 5e-5, 0.006, "rotary", 0.01)
-    drive = Drive("motor", "duty_pu", "shaft", 0.03, 0.03, 1.5, 1.0, 12.0, kind="duty-cycle", supply=supply)
+    drive = Drive("motor", "duty_pu", "shaft", 0.03, 0.03, 1.5, 1.0, 12.0, kind="duty-cycle", supply="vbus_V")
     return Machine("motor", (shaft,), (), (drive,), (ENCODER,))
 
 

@@ -36,7 +36,7 @@ def _potential(rig, q):
     return v + 0.5 * ea_b / (bottom - 2 * x) * (-RADIUS * phi1 + RADIUS * phi2 - 2 * x) ** 2
 
 
-def _regularized(rig, time_s, inputs, start_xy, creep, method="LSODA"):
+def _regularized(rig, time_s, inputs, start_xy, creep):
     """Return positions (n, 4) by an implicit method with friction smoothed over a speed of `creep`, m/s.
 
     The forces are the complex-step gradient of the potential, so that no code is shared with the simulator.
@@ -60,7 +60,7 @@ def _regularized(rig, time_s, inputs, start_xy, creep, method="LSODA"):
     z = np.array([x, y, -(x + y) / RADIUS, (x - y) / RADIUS, 0.0, 0.0, 0.0, 0.0])
     rows = [z[:4]]
     for a, b, volts in zip(time_s, time_s[1:], inputs, strict=False):
-        solution = solve_ivp(rhs, (a, b), z, method, args=(volts,), rtol=1e-9, atol=1e-12)
+        solution = solve_ivp(rhs, (a, b), z, "LSODA", args=(volts,), rtol=1e-9, atol=1e-12)
         assert solution.success
         z = solution.y[:, -1]
         rows.append(z[:4])
