@@ -8,6 +8,7 @@ practice episode of the online track, and `controller` once per task. A class of
 |---|---|---|
 | `pid`, `predictive`, `adaptive-pid`, `textbook-pid` | zero-shot | designed from the declared machine |
 | `ppo_mix`, `apg_mix`, `residual`, `sac`, ... | zero-shot | agents with laws of the declared machine |
+| `history` | zero-shot | PPO that corrects `pid` and observes the last periods (`history_policy`) |
 | `NAME-drift` | zero-shot | NAME; its state estimator also estimates slow errors of the encoders |
 | `NAME-learned` | identified | NAME, and voltages learned from the recordings (`learned_residual`) |
 | `NAME-refitted` | identified | NAME, designed from the machine whose own parameters are refitted |
@@ -59,6 +60,7 @@ from tests.reference_simulator import Array
 
 Trackname = Literal["zero-shot", "identified", "online"]
 MODELS = ("refitted", "corrected", "posterior")
+HISTORY = "history"  # the entry of `history_policy`
 VARIANTS = ("drift", "learned", *MODELS, "online")
 # Relative standard deviation, added to the posterior: what identification cannot know, such as heat and wear.
 _FLOOR = 0.02
@@ -457,7 +459,7 @@ def entry_names() -> list[str]:
     """Return the names of the repository's entries; NAME-seedN... is an agent with another seed than 0."""
     designs = [name for name in CONTROLLERS if not CONTROLLERS.get(name).set_points] + list(AGENTS)
     variants = [f"{name}-{variant}" for name in designs for variant in VARIANTS]
-    return [*designs, *variants, *(f"{agent}-trained" for agent in TRAINED)]
+    return [*designs, HISTORY, *variants, *(f"{agent}-trained" for agent in TRAINED)]
 
 
 def get_entry(name: str) -> type[GapEntry]:
@@ -509,6 +511,10 @@ def get_entry(name: str) -> type[GapEntry]:
         agents = {task: f"{shipped}-seed{seed}" for task, shipped in AGENTS[agent].items()}
         name = f"{agent}-seed{seed}{name.removeprefix(base)}"  # every result states its seed
         return _made(name, SeededAgent, machine, agents=agents, **settings)
+    if agent == HISTORY and (seed.isdigit() or base == agent) and variant == "declared":
+        from benchmarks.gap.history_policy import HistoryPolicy
+
+        return _made(f"{HISTORY}-seed{seed or 0}", HistoryPolicy, seed=int(seed or 0))
     from benchmarks.gap.saved_policies import SavedPolicies, read_name
 
     if saved := read_name(name):
