@@ -71,6 +71,7 @@ class Scripted:
         self.residue: dict[float, float] = {}  # by chi-squared of the fit
         self.drives = 10.0
         self.confirmed, self.variance, self.fault = 1.0, 1.0, ""
+        self.variances: dict[str, float] = {}  # by label of an effect, where they differ from `variance`
         self.simulated = 100.0  # chi-squared per sample of a simulation without effects
         self.narrower: dict[float, Fit] = {}  # by bandwidth, the fit with the next narrower observer
         self.observer: float | None = (
@@ -87,7 +88,9 @@ class Scripted:
             "drive_force": lambda machine, data: self.drives,
             "residue_force": lambda fitted, data: self.residue.get(fitted.chi2, 0.1),
             "leave_one_out_gain": lambda a, b, data: self.confirmed * (a.cost - b.cost),
-            "long_run_variance": lambda fitted, label, data: LongRunVariance(self.variance),
+            "long_run_variance": lambda fitted, label, data: LongRunVariance(
+                self.variances.get(label, self.variance)
+            ),
             "plausibility_fault": lambda machine: self.fault,
             "fit_with_model_error": lambda fitted, data: (
                 fitted if self.observer is None else dataclasses.replace(fitted, bandwidth=self.observer)

@@ -32,6 +32,7 @@ AT_LIMIT = 0.01
 LARGEST_SPEED_RATIO = 5.0
 
 BY_CHANCE = "reduces the error by no more than chance may, since the remaining error is correlated in time"
+BY_VOLTAGES = "explains little more than chance may beside the voltages between the rows, which are not known"
 NO_GAIN = "does not reduce the error of the held-out runs"
 
 
@@ -248,6 +249,26 @@ def doubt_about_candidate(evidence: EffectEvidence, criteria: SelectionCriteria)
     return _doubt(evidence, criteria, statistical=not large or nearly_explains(evidence.without, criteria))
 
 
+def may_be_no_effect(doubt: str) -> bool:
+    """Return whether chance or unknown voltages may cause the error that a doubted effect explains.
+
+    Other doubts concern the effect itself: another one may cause the error.
+
+    Args:
+        doubt: Why the effect may not exist, or "".
+    """
+    return doubt in (BY_CHANCE, BY_VOLTAGES)
+
+
+def hidden_by(label: str) -> str:
+    """Return the doubt about an effect that explains nothing of its own beside one that may be no effect.
+
+    Args:
+        label: Label of the other effect.
+    """
+    return f"explains little that {label} does not, which chance or unknown voltages may explain as well"
+
+
 def doubt_beside_others(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
     """Return why an effect may not exist beside all other effects; "" if nothing speaks against it.
 
@@ -302,7 +323,7 @@ def _by_voltages(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
         return ""
     if evidence.beside_voltages() >= CLEAR * chance_gain(evidence.chance().variance, criteria):
         return ""
-    return "explains little more than chance may beside the voltages between the rows, which are not known"
+    return BY_VOLTAGES
 
 
 def _of_several_sizes(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:

@@ -45,7 +45,7 @@ from ..fit.start_estimation import with_probable_starts
 from ..fit.voltage_updates import other_updates
 from ..judge import trial as judge
 from ..judge.criteria import SelectionCriteria
-from ..judge.effect import enough_gain
+from ..judge.effect import enough_gain, hidden_by, may_be_no_effect
 from ..judge.error import FitError, is_enough, nearly_explains, only_noise_is_left, required_gain
 from ..judge.rival import largest_resembling_loss
 from ..judge.trial import StructureEvidence
@@ -386,6 +386,7 @@ class EffectSearch:
     def _best(self, current: Fit, trials: list[Fit], enough: float) -> Fit | None:
         """Return the converged fit of the first trial that passes all tests, None if there is none."""
         without = TestedFit(current, self.data)
+        unexplained: list[Fit] = []  # with effects that explain what no effect may cause
         for trial in trials:
             if not judge.is_worth_convergence(current.error, trial.error, enough, self._criteria):
                 return None
@@ -397,6 +398,9 @@ class EffectSearch:
                 self._log(f"  {effect.label} is not selected: a reduction by {enough:.2g} is required")
                 continue
             doubt = doubt_about_candidate(without, fitted, self._criteria)
+            if may_be_no_effect(doubt):
+                unexplained.append(fitted)
+            doubt = doubt or self._doubt_beside(unexplained, current, fitted, enough)
             if not doubt:
                 self._seconds = seconds_spent() - began
                 return fitted
@@ -405,6 +409,26 @@ class EffectSearch:
             if self._doubted is None or gain > self._doubted[0]:
                 self._doubted = gain, (current, selected_first(fitted, trials))
         return None
+
+    def _doubt_beside(self, others: list[Fit], current: Fit, fitted: Fit, enough: float) -> str:
+        """Return the doubt that an effect explains what others do, which explain as much, or "".
+
+        Args:
+            others: Fits with one other effect each, whose gain chance or unknown voltages may cause.
+            current: Fit without any of these effects.
+            fitted: Fit with the effect.
+            enough: Reduction of chi-squared per sample for which an effect is selected.
+        """
+        effect = fitted.machine.effects[-1]
+        for other in others:
+            first = other.machine.effects[-1]
+            if other.cost > fitted.cost or first.label == effect.label:
+                continue
+            both = fit_with_effects(current, [first, effect], self.data)
+            own = is_enough(other.error, both.error, enough)
+            if not own or doubt_about_candidate(TestedFit(other, self.data), both, self._criteria):
+                return hidden_by(first.label)
+        return ""
 
     def with_indistinguishable(
         self, current: Fit, selected: tuple[SelectedEffect, ...]

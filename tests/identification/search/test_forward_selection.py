@@ -13,6 +13,7 @@ import pytest
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification.fit.estimation import describe_gain
+from hframe_gym.identification.judge.effect import hidden_by
 from hframe_gym.identification.predict.prediction import SIMULATION
 from hframe_gym.machine import AppliedEffect
 from tests.identification.scripted_fits import (
@@ -66,6 +67,37 @@ def test_a_doubtful_best_candidate_gives_way_and_is_remembered(scripted: Scripte
     _, effects = search_.run(fit_with(DRAG, chi2=3.0), effects)
     assert [s.effect for s in effects] == [DRAG, PUSH]
     assert search_.considered == {}
+
+
+@pytest.mark.parametrize(("together", "found"), [(1.295, False), (1.2, True)])
+def test_an_effect_must_explain_something_beside_one_that_chance_explains(
+    scripted: Scripted, together: float, found: bool
+) -> None:
+    """Friction of a carriage was named where a similar one that explained more had failed as chance."""
+    scripted.variances = {PUSH.label: 1e4}
+    scripted.trials = [[fit_with(PUSH, chi2=1.3), fit_with(DRAG, chi2=1.31)]]
+    scripted.again = [fit_with(PUSH, DRAG, chi2=together)]
+    search = scripted.search()
+    _, effects = search.run(fit_with(chi2=1.4))
+    assert [s.effect for s in effects] == ([DRAG] if found else [])
+    if not found:
+        assert search.considered[DRAG.label].reason == hidden_by(PUSH.label)
+
+
+def test_an_effect_needs_nothing_beside_one_that_explains_less(scripted: Scripted) -> None:
+    scripted.variances = {PUSH.label: 1e4}
+    trials = [fit_with(PUSH, chi2=1.301, free=4), fit_with(DRAG, chi2=1.3, free=5)]  # the simpler one first
+    scripted.trials = [trials]
+    _, effects = scripted.search().run(fit_with(chi2=1.4))
+    assert [s.effect for s in effects] == [DRAG]
+
+
+def test_an_effect_needs_nothing_beside_one_that_is_doubted_itself(scripted: Scripted) -> None:
+    """The force of the first one is too small; it says nothing about the error."""
+    scripted.force = {PUSH.label: 0.01}
+    scripted.trials = [[fit_with(PUSH, chi2=1.3), fit_with(DRAG, chi2=1.31)]]
+    _, effects = scripted.search().run(fit_with(chi2=1.4))
+    assert [s.effect for s in effects] == [DRAG]
 
 
 def test_structural_effects_are_tried_where_the_others_leave_enough(scripted: Scripted) -> None:
