@@ -254,11 +254,14 @@ def is_required(machine: Machine, label: str) -> bool:
 
 
 def _scales_at(effect: Effect, site: str, machine: Machine, scales: TypicalScales) -> Mapping[str, float]:
-    """Return the typical sizes at a site; an effect on all drives together takes those of the first drive."""
-    shared = site not in [d.name for d in machine.drives] and site == "drives"
-    return scales.of(
-        machine.coordinate_of_site(machine.drives[0].name if shared else site, effect.site) or ""
-    )
+    """Return the typical sizes at a site; of all drives together, those of the one with the largest current.
+
+    It reaches a common limit before the others do.
+    """
+    if site == "drives" and site not in [d.name for d in machine.drives]:
+        of_drives = [scales.of(machine.coordinate_of_site(d.name, effect.site) or "") for d in machine.drives]
+        return max(of_drives, key=lambda sizes: sizes.get("A", 0.0))
+    return scales.of(machine.coordinate_of_site(site, effect.site) or "")
 
 
 def _columns(

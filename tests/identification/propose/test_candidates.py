@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -170,3 +171,16 @@ def test_periodic_errors_of_a_sensor_start_from_its_errors() -> None:
     assert first.columns[0]["n"] == pytest.approx(583.0, rel=0.01)
     unknown = SearchState(AXIS, data, scales, missing)
     assert "interpolation_error" not in {c.effect.name for c in candidates(unknown)}
+
+
+@pytest.mark.parametrize("currents", [(4.2, 4.7), (4.7, 4.2)])
+def test_a_common_limit_is_searched_for_up_to_the_largest_current(
+    hframe: Machine, currents: tuple[float, float]
+) -> None:
+    """A limit of 4.5 A in both amplifiers binds in one only; it was named there, and tried nowhere else."""
+    sizes = {f"phi{i + 1}": {"A": current} for i, current in enumerate(currents)}
+    data: Any = None  # is not needed
+    state = SearchState(hframe, data, TypicalScales(sizes, {}), {})
+    limit = EFFECTS["current_limit"]
+    assert state.sizes(limit, "drives")["A"] == 4.7
+    assert [state.sizes(limit, f"motor{i}")["A"] for i in (1, 2)] == [*currents]
