@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from ...arrays import Array
-from ...machine import DRIVE_KINDS, Drive, Machine
+from ...machine import DRIVE_KINDS, Belt, Drive, Machine
 
 # Standard deviations of the priors, relative to the declared value. Dry friction and viscous friction vary
 # most from one machine to the next, belt lengths least.
@@ -310,7 +310,8 @@ def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[
 
     - Mass, viscous friction and dry friction of every coordinate.
     - The stiffness EA of every belt section. For a section whose length changes with the position of the
-      machine, also its constant part `rest_length`, the length at position 0.
+      machine, or to which another one with such a length is tied, also its constant part `rest_length`, the
+      length at position 0.
     - The torque constant Kt of every drive that sets no unit of force, and nonzero back-EMF constants Ke.
     - The gains and limits of every drive that follows a set point, without those at their defaults.
     - The resistance of every drive whose current is measured and not controlled, which separates its
@@ -338,7 +339,7 @@ def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[
     free = [*_coordinate_parameters(machine)]
     for belt in machine.belts:
         free.append(FreeParameter(f"{belt.name}.EA", belt.EA, prior=_BELT_PRIOR))
-        if belt.length:
+        if _length_changes(belt, machine):
             free.append(FreeParameter(f"{belt.name}.rest_length", belt.rest_length, prior=_LENGTH_PRIOR))
     sensed = {name for sensor in machine.sensors if sensor.quantity == "current" for name in sensor.row}
     setting_units = _drives_that_set_units(machine)
@@ -362,6 +363,13 @@ def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[
     if effects:
         free += _declared_effect_parameters(machine)
     return tuple(parameter for parameter in free if parameter.name not in machine.ties)
+
+
+def _length_changes(belt: Belt, machine: Machine) -> bool:
+    """Return whether the length of a belt section, or of one tied to it, changes with the position."""
+    name = f"{belt.name}.rest_length"
+    tied = (b for b in machine.belts if machine.ties.get(f"{b.name}.rest_length", ("", 0.0))[0] == name)
+    return any(bool(b.length) for b in (belt, *tied))
 
 
 def _drives_that_set_units(machine: Machine) -> set[str]:

@@ -455,8 +455,7 @@ def fit_with_effects(current: Fit, effects: Sequence[AppliedEffect], data: Datas
 def start_with_effects(current: Fit, effects: Sequence[AppliedEffect]) -> Machine:
     """Return the machine from which a fit with more effects starts.
 
-    With a structural effect, that has the declared parameters. Those that are not free with the effect, such
-    as the length of a belt that it divides, would keep the values that compensated for it.
+    With a structural effect, that has the declared parameters, because the present ones compensate for it.
 
     Args:
         current: Fit without the effects.

@@ -53,3 +53,15 @@ def test_a_measured_current_frees_the_resistance_of_drives_that_do_not_control_i
     names = [p.name for p in default_free_parameters(machine)]
     assert [name for name in names if name.endswith(".resistance")] == free
     assert set(names) <= set(machine.parameters)
+
+
+def test_idlers_free_the_lengths_of_the_belts_that_they_divide() -> None:
+    """Sections beside the motors keep their length, those tied to them do not: EA had compensated for it."""
+    values = {"J_left": 5e-5, "J_right": 5e-5, "B_left": 1e-3, "B_right": 1e-3}
+    stage = built_in("hframe")
+    divided = stage.with_effects(EFFECTS["idler_inertia"].at("machine", **values))
+    lengths = [
+        {p.name for p in default_free_parameters(m, effects=False) if p.name.endswith(".rest_length")}
+        for m in (stage, divided)
+    ]
+    assert lengths[0] == lengths[1] == {f"{belt}.rest_length" for belt in ("left", "right", "bottom")}
