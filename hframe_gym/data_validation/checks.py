@@ -11,7 +11,7 @@ from ..identification import Dataset
 from ..machine import Machine
 from ..preparation.criteria import SaturationCriteria
 from ..preparation.dataset import runs_that_should_move, turns_steadily
-from ..preparation.division import copied_runs
+from ..preparation.division import copied_runs, short_runs
 from ..preparation.initial_rest import InitialRest, without_moving_start
 from ..preparation.regular_clock import with_regular_clock
 from ..preparation.sensor_noise import noise_at_rest
@@ -59,15 +59,22 @@ def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[
     The checks cover the clock, the timing of the voltages, the rest before the motion, the sensors (noise,
     outliers, wrapped, empty, stuck or clipped channels), the wiring (signs, swapped channels, units, gear
     ratios), starts from rest against a command, the excitation, and the precision with which parameters can
-    be estimated. If the times of a run appear to be in milliseconds, only this is reported.
+    be estimated. A run that is too short to be used is advice, and not checked. If the
+    times of a run appear to be in milliseconds, only this is reported.
 
     Returns:
         Findings (severity, run, channel, message) sorted by severity: faults first, then advice, then notes.
     """
+    recordings, too_short = _without_short_runs(recordings)
     if wrong_times := times_in_milliseconds(recordings):
         return wrong_times
     cleaned, rests, data, moving = _prepared(recordings, machine)
-    findings = [sampling_rate(recordings), *overlapping_clocks(recordings), *_sensor_noise(data, machine)]
+    findings = [
+        *too_short,
+        sampling_rate(recordings),
+        *overlapping_clocks(recordings),
+        *_sensor_noise(data, machine),
+    ]
     for copy, reason in copied_runs(recordings).items():
         findings.append(Finding("advice", copy, "", f"{reason}: it is not used"))
     if data.jitter:
@@ -103,12 +110,20 @@ def check_before_fit(recordings: Sequence[Recording], machine: Machine) -> list[
         Findings (severity, run, channel, message): first those of severity "fault", which make a fit
         meaningless, then those of severity "advice".
     """
+    recordings, too_short = _without_short_runs(recordings)
     if wrong_times := times_in_milliseconds(recordings):
         return wrong_times
     cleaned, rests, data, moving = _prepared(recordings, machine)
-    findings = _faults_and_advice(recordings, cleaned, rests, data, moving, machine)
+    findings = too_short + _faults_and_advice(recordings, cleaned, rests, data, moving, machine)
     findings += constant_inputs(recordings, machine)
     return _by_severity([finding for finding in findings if finding.severity != "note"])
+
+
+def _without_short_runs(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Finding]]:
+    """Return the runs without those that are too short for identification, and advice on these."""
+    short = short_runs(recordings)
+    advice = [Finding("advice", run, "time_s", f"{reason}: it is not used") for run, reason in short.items()]
+    return [recording for recording in recordings if recording.name not in short], advice
 
 
 def _prepared(

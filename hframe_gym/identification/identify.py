@@ -20,7 +20,7 @@ from ..machine import Machine
 from ..operating_system import reused_memory
 from ..parallel import single_threaded_linear_algebra
 from ..preparation.dataset import Dataset, runs_that_should_move
-from ..preparation.division import copied_runs, divide_runs, moving_runs
+from ..preparation.division import copied_runs, divide_runs, moving_runs, short_runs
 from ..preparation.excerpt import representative_part
 from ..preparation.session import Session, prepare_session
 from ..recordings import Recording, load_machine
@@ -82,7 +82,7 @@ def identify(
     load_plugins()  # the search tries their effects as well
     criteria, log = criteria or SelectionCriteria(), log or (lambda line: None)
     recordings = sorted(recordings, key=lambda recording: recording.name)  # no other order changes the result
-    recordings, copies = _without_copies(recordings, held_out, log)
+    recordings, left_out = _without_useless_runs(recordings, held_out, log)
 
     budget = _budget(budget, recordings, log)
 
@@ -106,7 +106,7 @@ def identify(
         budget=budget,
         before_search=partial(reserve_time_after_search, budget, tests),
     )
-    found = found._replace(messages=(*copies, *session.statements, *statements, *found.messages))
+    found = found._replace(messages=(*left_out, *session.statements, *statements, *found.messages))
 
     # Validate: effects must be certain; held-out runs judge verdict and names; nothing worse than a plain fit
     # or the file is delivered.
@@ -160,15 +160,17 @@ def _budget(budget: float | Budget | None, recordings: Sequence[Recording], log:
     return budget
 
 
-def _without_copies(
+def _without_useless_runs(
     recordings: Sequence[Recording], held_out: Sequence[str], log: LineLog
 ) -> tuple[list[Recording], tuple[str, ...]]:
-    """Return the runs without copies of others, and a sentence about each; a user's held-out run is kept."""
-    copies = copied_runs(recordings, held_out)
-    statements = tuple(f"Not used: {copy} {reason}." for copy, reason in copies.items())
+    """Return the runs without short ones and copies, with reasons; held-out runs of the user are kept."""
+    short = {name: reason for name, reason in short_runs(recordings).items() if name not in held_out}
+    useful = [recording for recording in recordings if recording.name not in short]
+    reasons = short | copied_runs(useful, held_out)
+    statements = tuple(f"Not used: {name} {reason}." for name, reason in reasons.items())
     for statement in statements:
         log(statement)
-    return [recording for recording in recordings if recording.name not in copies], statements
+    return [recording for recording in recordings if recording.name not in reasons], statements
 
 
 def _without_silent_runs(

@@ -44,6 +44,22 @@ def divide_runs(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> 
     return held_out
 
 
+def short_runs(recordings: Sequence[Recording]) -> dict[str, str]:
+    """Find runs that are too short for the filters, such as what a logger with gaps left of a part of a log.
+
+    If all are, none can be left out.
+
+    Returns:
+        Why a run is not used, as the predicate of a sentence, by its name.
+    """
+    short = {
+        recording.name: f"has {len(recording.time_s)} rows, identification needs at least {MIN_ROWS}"
+        for recording in recordings
+        if len(recording.time_s) < MIN_ROWS
+    }
+    return short if len(short) < len(recordings) else {}
+
+
 def copied_runs(recordings: Sequence[Recording], kept: Sequence[str] = ()) -> dict[str, str]:
     """Find runs that have the same times, commands and measurements as another run, or as a part of it.
 

@@ -123,6 +123,7 @@ QUANTITIES: dict[str, Quantity] = {
     "frequency": Quantity("a", {"Hz": (1, 1), "kHz": (1e3, 1)}, "frequency freq frequenz"),
     "pressure": Quantity("a", {"bar": (1e5, 1), "Pa": (1, 1)}, "pressure druck pression"),
     "row number": Quantity("a", {}, "index idx sample samples timestep tick ticks seq sequence row frame"),
+    "gain": Quantity("a", {}, "gain gains kp ki kd"),  # of a controller: "vel_gain" of an ODrive is no speed
     "state": Quantity("a", {}, "state status flag flags mode fault valid enable enabled trigger event"),
 }
 # Units of a number without a dimension: encoder counts, converter steps, bits, and marks of a column without

@@ -365,6 +365,18 @@ def test_times_in_milliseconds_are_a_fault(runs: list[Recording], hframe: Machin
         )
 
 
+def test_a_run_that_is_too_short_is_left_out_and_no_fault(runs: list[Recording], hframe: Machine) -> None:
+    """Five rows a second apart, which a logger with gaps left of a part of its log, show no wrong clock."""
+    rows = slice(0, 1000, 200)
+    few = Recording("few", runs[0].time_s[rows] * 5, runs[0].inputs[rows], runs[0].outputs[rows])
+    for check in (check_recordings, check_before_fit):
+        findings = check([*runs, few], hframe)
+        assert not faults(findings)
+        assert [str(f) for f in findings if f.run == "few"] == [
+            "advice: few, time_s: has 5 rows, identification needs at least 20: it is not used"
+        ]
+
+
 def test_a_run_of_many_rows_is_checked_and_should_be_cut(runs: list[Recording], hframe: Machine) -> None:
     repeats = 70
     period = 1e-3

@@ -172,6 +172,8 @@ def test_one_of_four_runs_is_held_out_and_a_path_is_refused() -> None:
     ]
     with pytest.raises(InputError, match="run run_0: number of rows is 1, at least 20 are needed"):
         identify(short, AXIS)
+    with pytest.raises(InputError, match="runs: 1, held out: 1"):
+        identify([*short, runs[2]], AXIS)
     with pytest.raises(InputError, match=r"call load_recordings\('runs', machine\)"):
         identify("runs", BUILTIN_MACHINES["axis"]())  # type: ignore[arg-type]
 

@@ -79,6 +79,7 @@ def test_name_and_unit_of_a_header_are_separated(header: str, name: str, unit: s
         ("pos error [mm]", "length", "control error"),
         ("accel_x", "acceleration", ""),
         ("Temperatur", "temperature", ""),
+        ("Axis0_vel_gain", "gain", ""),
         ("theta_dot", "speed", ""),
         ("phiDdot", "acceleration", ""),
         ("yaw rate", "speed", ""),

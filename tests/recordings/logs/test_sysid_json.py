@@ -71,6 +71,47 @@ def test_the_tests_of_a_file_become_runs(
     assert "drive.json, fast-backward: same format and columns as the log before" in lines
 
 
+@pytest.mark.parametrize(
+    ("before", "side", "after"),
+    [
+        (("battery", "autospeed"), "", ()),
+        (("battery", "autospeed"), "l ", ()),
+        (("battery", "autospeed"), "l ", ("angle",)),
+    ],
+)
+def test_files_of_the_predecessor_of_sysid_are_read(
+    before: tuple[str, ...], side: str, after: tuple[str, ...], axis: Machine, tmp_path: Path
+) -> None:
+    """frc-characterization writes the same tests without "sysid" and units, with further columns."""
+    speed = np.gradient(ROTATIONS, TIME)
+    motion = (
+        [VOLTAGE, ROTATIONS, speed] if not side else [VOLTAGE, VOLTAGE, ROTATIONS, -ROTATIONS, speed, -speed]
+    )
+    rows = np.column_stack([TIME, *(12.0 + 0 * TIME for _ in before), *motion, *(0 * TIME for _ in after)])
+    content = {"fast-forward": rows.tolist(), "slow-forward": rows.tolist(), "track-width": rows.tolist()}
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "logs" / "drive.json").write_text(json.dumps(content))
+    lines: list[str] = []
+    mapping = settings(v_V=f"{side}voltage", x_m=f"{side}position")
+    files = import_logs(tmp_path / "logs", tmp_path / "runs", axis, mapping, lines.append)
+    assert [file.name for file in files] == [
+        f"drive_{test}.csv.gz" for test in ("slow-forward", "fast-forward")
+    ]
+    run = load_recordings(tmp_path / "runs", axis)[0]
+    np.testing.assert_allclose(run.inputs[:, 0], VOLTAGE)
+    np.testing.assert_allclose(run.outputs[:, 0], ROTATIONS, atol=1e-15)
+    assert any("file of frc-characterization, which does not state the unit" in line for line in lines)
+
+
+def test_a_later_file_of_the_predecessor_states_its_unit(axis: Machine, tmp_path: Path) -> None:
+    rows = np.column_stack([TIME, TIME, TIME, VOLTAGE, ROTATIONS, np.gradient(ROTATIONS, TIME)]).tolist()
+    content = {"slow-forward": rows, "test": "Simple", "units": "Feet", "unitsPerRotation": 2.0}
+    (tmp_path / "drive.json").write_text(json.dumps(content))
+    import_logs(tmp_path / "drive.json", tmp_path / "runs", axis, settings(v_V="voltage", x_m="position"))
+    run = load_recordings(tmp_path / "runs", axis)[0]
+    np.testing.assert_allclose(run.outputs[:, 0], 0.6096 * ROTATIONS, atol=1e-15)
+
+
 def test_a_folder_of_sysid_files_may_hold_the_machine(axis: Machine, tmp_path: Path) -> None:
     (tmp_path / "logs").mkdir()
     (tmp_path / "logs" / "drive.json").write_text(json.dumps(sysid_file(4, **{"fast-backward": []})))

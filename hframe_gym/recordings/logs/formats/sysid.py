@@ -3,6 +3,9 @@
 The file has an object with the entries "sysid" (true), "test" (kind of the mechanism), "units" and
 "unitsPerRotation", and a list of rows for each test. Positions and velocities are in rotations; a rotation is
 `unitsPerRotation` of `units`. The angle of the gyroscope is in radians.
+
+Files of frc-characterization, which SysId replaced, have the same tests without the entry "sysid", and
+further columns. Most of them do not state the unit of positions, which the robot's program chose.
 """
 
 from __future__ import annotations
@@ -34,13 +37,23 @@ _UNITS = {
     "degrees": ("deg", 1.0),
     "rotations": ("rev", 1.0),
 }
-# Columns by their number, with the columns to convert from rotations marked by a star.
+_TWO_SIDES = (
+    "l voltage [V]",
+    "r voltage [V]",
+    "l position *",
+    "r position *",
+    "l velocity *",
+    "r velocity *",
+)
+# Columns by their number, with the columns in the file's unit marked by a star.
 _COLUMNS = {
     4: ("timestamp [s]", "voltage [V]", "position *", "velocity *"),
-    9: (
-        *("timestamp [s]", "l voltage [V]", "r voltage [V]", "l position *", "r position *", "l velocity *"),
-        *("r velocity *", "angle [rad]", "angular rate [rad/s]"),
-    ),
+    9: ("timestamp [s]", *_TWO_SIDES, "angle [rad]", "angular rate [rad/s]"),
+}
+_FRC_CHARACTERIZATION_COLUMNS = {
+    6: ("timestamp [s]", "battery [V]", "autospeed", "voltage [V]", "position *", "velocity *"),
+    9: ("timestamp [s]", "battery [V]", "autospeed", *_TWO_SIDES),
+    10: ("timestamp [s]", "battery [V]", "autospeed", *_TWO_SIDES, "angle [rad]"),
 }
 _ADVICE = "of JSON files only those of WPILib's SysId are read; export a table as CSV, one row per sample"
 
@@ -64,7 +77,7 @@ class SysIdTest:
 
 @LOG_FORMATS.register("sysid")
 class SysIdLogs(LogFormat):
-    """JSON files of SysId; JSON of another kind is refused with advice."""
+    """JSON files of SysId and frc-characterization; JSON of another kind is refused with advice."""
 
     suffixes = (".json",)
     precedence = KNOWN_CONTENT
@@ -77,7 +90,8 @@ class SysIdLogs(LogFormat):
     def is_log(self, path: Path) -> bool:
         """Leave out other JSON files, such as machines."""
         try:
-            return '"sysid"' in read_document(path) and _tests(read_json(path)) != {}
+            text = read_document(path)
+            return any(f'"{name}"' in text for name in TESTS) and _tests(read_json(path)) != {}
         except InputError:
             return False
 
@@ -105,13 +119,22 @@ def _read_tests(path: Path) -> list[SysIdTest]:
     tests = _tests(content)
     if not tests:
         raise InputError(f"{path}: is a JSON file without tests of SysId; {_ADVICE}")
-    unit, factor = _unit(path, content)
-    return [_read_test(path, name, rows, unit, factor, content) for name, rows in tests.items()]
+    is_sysid = "sysid" in content
+    unit, factor = _unit(path, content) if is_sysid or "units" in content else ("", 1.0)
+    of_unit = (
+        f"1 rotation is {factor:.6g} {unit}" if unit else "which does not state the unit of its positions"
+    )
+    program = (
+        f"SysId file ({content.get('test', 'mechanism')})" if is_sysid else "file of frc-characterization"
+    )
+    remark = f"it is a {program}, {of_unit}"
+    columns = _COLUMNS if is_sysid else _FRC_CHARACTERIZATION_COLUMNS
+    return [_read_test(path, name, rows, columns, unit, factor, remark) for name, rows in tests.items()]
 
 
 def _tests(content: Any) -> dict[str, list[Any]]:
-    """Return the rows of each test that has some; empty if the content is not that of a SysId file."""
-    if not isinstance(content, dict) or content.get("sysid") is not True:
+    """Return the rows of each test that has some; empty if the content is of another kind."""
+    if not isinstance(content, dict) or content.get("sysid", True) is not True:
         return {}
     return {name: content[name] for name in TESTS if isinstance(content.get(name), list) and content[name]}
 
@@ -131,13 +154,19 @@ def _unit(path: Path, content: dict[str, Any]) -> tuple[str, float]:
 
 
 def _read_test(
-    path: Path, name: str, rows: list[Any], unit: str, factor: float, content: dict[str, Any]
+    path: Path,
+    name: str,
+    rows: list[Any],
+    columns_of_width: dict[int, tuple[str, ...]],
+    unit: str,
+    factor: float,
+    remark: str,
 ) -> SysIdTest:
     """Convert the rows of a test to columns."""
     width = len(rows[0]) if isinstance(rows[0], list) else 0
-    if width not in _COLUMNS:
+    if width not in columns_of_width:
         raise InputError(
-            f"{path}, {name}, row 1: must be a list of {' or '.join(map(str, _COLUMNS))} numbers"
+            f"{path}, {name}, row 1: must be a list of {' or '.join(map(str, columns_of_width))} numbers"
         )
     refuse_many_values(path, len(rows), width)
     for number, row in enumerate(rows, start=1):
@@ -154,10 +183,9 @@ def _read_test(
             f"{path}, {name}: has an integer beyond the range of floating-point numbers"
         ) from None
     names, columns = [], []
-    for column, values in zip(_COLUMNS[width], table.T, strict=True):
-        is_motion = column.endswith("*")
+    for column, values in zip(columns_of_width[width], table.T, strict=True):
+        is_motion = column.endswith(" *")
         per_second = "/s" if "velocity" in column else ""
-        names.append(column.replace("*", f"[{unit}{per_second}]"))
+        names.append(column.replace(" *", f" [{unit}{per_second}]" if unit else ""))
         columns.append(np.ascontiguousarray(values * factor) if is_motion else np.ascontiguousarray(values))
-    remark = f"it is a SysId file ({content.get('test', 'mechanism')}), 1 rotation is {factor:.6g} {unit}"
     return SysIdTest(name, tuple(names), columns, (remark,))
