@@ -28,6 +28,7 @@ _FIRST_LETTERS: dict[Dimension, str] = {
     "linear acceleration": "a",
     "angular acceleration": "a",
 }
+_INPUT_NAMES = ("u", "input", "cmd", "command", "control")  # of what drives a machine, in any quantity
 # Quantities whose commands are set points.
 _SET_POINTS = ("length", "angle", "linear speed", "angular speed")
 
@@ -62,8 +63,9 @@ def _candidates(machine: Machine, channel: str, unused: Sequence[LogColumn]) -> 
 
     These are the columns with a unit of its quantity, else those that name it or count, else those with a
     unit that can be converted to it, else those that name another quantity that can be, else, for the command
-    of a drive that follows a set point, those that are set points by name, else those that begin with its
-    letters, else the only one. A set point is not proposed for an output.
+    of a drive that follows a set point, those that are set points by name, else, for a command, those called
+    "u", "input2" and the like, else those that begin with its letters, else the only one. A set point is not
+    proposed for an output.
     """
     possible = [column for column in unused if _is_proposable(machine, channel, column)]
     accepted, dimension = accepted_units(machine, channel), channel_dimension(machine, channel)
@@ -76,9 +78,11 @@ def _candidates(machine: Machine, channel: str, unused: Sequence[LogColumn]) -> 
     unknown = [column for column in possible if not column.meaning.quantity and not column.unit]
     follows = channel in machine.input_channels and dimension in _SET_POINTS
     set_points = [column for column in unknown if follows and column.meaning.role == "set point"]
+    is_input = channel in machine.input_channels
+    inputs = [c for c in unknown if is_input and plain_name(c.name).rstrip("0123456789") in _INPUT_NAMES]
     by_letter = [column for column in unknown if plain_name(column.name).startswith(letters)]
     only_one = unknown if len(unused) == 1 and channel != TIME else []
-    return of_family or named_so or with_unit or named or set_points or by_letter or only_one
+    return of_family or named_so or with_unit or named or set_points or inputs or by_letter or only_one
 
 
 def _family(machine: Machine, channel: str) -> str:

@@ -41,6 +41,16 @@ def test_set_points_without_a_quantity_are_proposed_for_a_drive_that_follows_the
     assert "command_rad" not in propose_columns(log, BUILTIN_MACHINES["motor"]()).proposed
 
 
+@pytest.mark.parametrize("header", ["u", "input", "U1", "cmd"])
+def test_what_is_called_an_input_is_proposed_as_the_command_of_any_drive(header: str, tmp_path: Path) -> None:
+    motor = BUILTIN_MACHINES["motor"]()
+    machine = motor.replace(drives=(dataclasses.replace(motor.drives[0], kind="duty-cycle", channel="duty"),))
+    rows = "\n".join(f"{k * 1e-3:g},{k % 3},{k % 2},{k % 7},{k % 5}" for k in range(40))
+    (tmp_path / "log.csv").write_text(f"t,{header},{header}_raw,theta_1,theta_2\n{rows}\n")
+    (log,) = open_logs(tmp_path / "log.csv")
+    assert propose_columns(log, machine).proposed["duty"] == header
+
+
 @pytest.mark.parametrize(
     ("unit", "factor"), [("8bits", "0.0039216 if 255 is"), ("10 bit", "0.00097752 if 1023 is")]
 )
