@@ -24,15 +24,7 @@ _CHUNK = 32  # blocks of SIMD lanes that are advanced together
 
 
 def random_voltages(batch: int, inputs: int = 2) -> Array:
-    """Return random voltages.
-
-    Args:
-        batch: Number of stages.
-        inputs: Number of drives.
-
-    Returns:
-        Voltages, V, shape (PERIODS, batch, inputs).
-    """
+    """Return random voltages of some stages with some drives, V, shape (PERIODS, batch, inputs)."""
     return np.random.default_rng(SEED).uniform(-VOLTS, VOLTS, (PERIODS, batch, inputs))
 
 

@@ -38,15 +38,12 @@ def save_figure(figure: Any, path: Path) -> None:
 
 
 def write_results(name: str, content: dict[str, Any], *, seed: int | None) -> Path:
-    """Write the results of a benchmark, completely or not at all.
+    """Write the results of a benchmark, completely or not at all, and return the path of the file.
 
     Args:
         name: Name of the file without its ending.
         content: Results as plain data.
         seed: Seed of the benchmark; None if each result has its individual one.
-
-    Returns:
-        Path of the file.
     """
     path = RESULTS / f"{name}.json"
     write_text(path, json.dumps({"seed": seed, **surroundings(), **content}, indent=1) + "\n")

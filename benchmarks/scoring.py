@@ -143,13 +143,9 @@ class NameScore:
 
 
 def effect_class(label: str) -> str:
-    """Return the class of a label: no recording or no report tells effects of one class apart.
+    """Return the class (family@site) of a label; no recording or report tells effects of one class apart.
 
-    Args:
-        label: Effect as name@site.
-
-    Returns:
-        Family@site; an offset of a motor's voltage is a constant torque of its pulley.
+    An offset of a motor's voltage is a constant torque of its pulley.
     """
     name, _, site = label.partition("@")
     if name == "voltage_offset":
@@ -198,23 +194,11 @@ def score_names(hidden: Sequence[DrawnEffect], verdict: str, named: Mapping[str,
                 effect.absorbed or described or any(set(group) <= all_named for group in groups)
             )
         else:
-            labels = [
-                label for label in named if any(fnmatch(label, escaped(p)) for p in effect.accepted if p)
-            ]
+            # Labels may contain brackets, which would be special for `fnmatch`; only * is.
+            patterns = [pattern.replace("[", "[[]") for pattern in effect.accepted if pattern]
+            labels = [label for label in named if any(fnmatch(label, pattern) for pattern in patterns)]
             identified.append(
                 bool(labels) or ("" in effect.accepted and verdict == "unexplained" and not named)
             )
         expected.update(labels)
     return NameScore(tuple(identified), tuple(label for label in named if label not in expected))
-
-
-def escaped(pattern: str) -> str:
-    """Return a file-name pattern in which only * is special, so that labels with brackets match themselves.
-
-    Args:
-        pattern: Label, possibly with *.
-
-    Returns:
-        The pattern for `fnmatch`.
-    """
-    return pattern.replace("[", "[[]")

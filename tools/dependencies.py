@@ -111,14 +111,7 @@ def installed_dependencies(requirements: Iterable[Requirement]) -> dict[str, met
 
 
 def read_pins(text: str) -> dict[str, str]:
-    """Read the pinned versions of a constraints file.
-
-    Args:
-        text: Content of the file: comments and lines "name==version".
-
-    Returns:
-        Version by canonical name.
-    """
+    """Read the pinned versions, by canonical name, from the text of a constraints file."""
     lines = (line.partition("#")[0].strip() for line in text.splitlines())
     return {
         canonicalize_name(name): version

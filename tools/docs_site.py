@@ -47,14 +47,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Resolve links that leave docs/ (MkDocs event).
-
-    Args:
-        markdown: Text of a page.
-
-    Returns:
-        The text with links that stay inside the site.
-    """
+    """Resolve links that leave docs/ (MkDocs event)."""
     uri = page.file.src_uri
     if uri in TABLES_AND_HISTORY:
         page.meta["search"] = {"boost": 0.2}  # below the pages that explain
@@ -98,16 +91,7 @@ def _repository_path(label: str, path: str) -> str:
 
 
 def format_math(source: str, *_: Any, **__: Any) -> str:
-    """Convert a fenced block of the language `math` to MathML, which browsers display without scripts.
-
-    Args:
-        source: Formula in LaTeX.
-        _: Further arguments of the extension pymdownx.superfences, not used.
-        __: Likewise.
-
-    Returns:
-        The formula as HTML.
-    """
+    """Convert a fenced block of LaTeX to MathML, which browsers display without scripts."""
     return f'<div class="math">{convert(source.strip(), display="block")}</div>'
 
 

@@ -241,14 +241,7 @@ def measure(root: Path = ROOT) -> House:
 
 
 def source_files(root: Path) -> list[Path]:
-    """List the modules of hframe_gym and agents.
-
-    Args:
-        root: Repository with the folders hframe_gym/ and agents/.
-
-    Returns:
-        Paths in alphabetical order, each module once although hframe_gym/agents may be a link.
-    """
+    """List the modules of hframe_gym and agents, each once although hframe_gym/agents may be a link."""
     package = (p for p in (root / "hframe_gym").rglob("*.py") if p.relative_to(root).parts[1] != "agents")
     return sorted([*package, *(root / "agents").rglob("*.py")])
 

@@ -57,15 +57,7 @@ class GapEpisodes:
 
 
 def starts_of(task: Task, seed: int, count: int) -> Starts:
-    """Draw the starts and goals of episodes.
-
-    Args:
-        seed: Seed of the draws.
-        count: Number of episodes.
-
-    Returns:
-        Starts and plans; the same arguments give the same.
-    """
+    """Draw the starts and goals of `count` episodes; the same seed gives the same."""
     machine = declared_machine()
     workspace = np.array([machine.coordinate(axis).range for axis in machine.tool_axes])
     return Starts(*task.begin(workspace, np.random.default_rng(seed).random((count, task.draws))))

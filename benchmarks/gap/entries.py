@@ -150,17 +150,12 @@ def sha256_of(entry: type[GapEntry]) -> str:
 def from_measurements(
     controller: Controller, machine: Machine, covariance: Array | None = None, drifting_encoders: bool = False
 ) -> Controller:
-    """Combine a controller that needs the full state with a state estimator.
+    """Combine a controller that needs the full state with an estimator of the state from the measurements.
 
     Args:
-        controller: Controller from the full state.
-        machine: Machine of the estimator.
         covariance: Covariance of the logarithms of the estimated parameters. Default: that of declared
             values.
         drifting_encoders: Whether the estimator also estimates errors of the encoders, which wander slowly.
-
-    Returns:
-        Controller from the measurements of the plant.
     """
     observed = observed_machine(machine, "machine")
     assert observed is not None

@@ -70,14 +70,7 @@ Values = dict[str, list[float | None]]
 
 
 def starts(plant: GapPlant, part: str) -> Starts:
-    """Return the starts and goals of a part on a plant.
-
-    Args:
-        part: "reach", "circle" or "square".
-
-    Returns:
-        Starts and plans of the scored episodes.
-    """
+    """Return the starts and goals of a part ("reach", "circle" or "square") on a plant."""
     number = list(PARTS).index(part)
     return starts_of(PARTS[part], _seed(plant, number), EPISODES[part])
 
@@ -264,12 +257,10 @@ def score_plants(
     known: Mapping[tuple[int, str], dict[str, Any]],
     each: Callable[[dict[str, Any]], None],
 ) -> None:
-    """Score an entry on plants that are not scored yet.
+    """Score an entry on plants, given by their numbers, that are not scored yet.
 
     Args:
         make: Returns a new object of the entry, one per plant.
-        indices: Numbers of the plants.
-        folder: Folder of all plants.
         done: Results by the number of the plant, of an earlier run.
         known: Results of other entries by plant and key.
         each: Called with the result of each plant.

@@ -128,12 +128,5 @@ def picture(
 def errors_by_machine(
     answer: IdentificationResult, measure: Callable[[Machine], dict[str, float]]
 ) -> dict[str, dict[str, float]]:
-    """Return the errors of the declared, the refitted and the identified machine.
-
-    Args:
-        measure: Function that returns the errors of a machine by set of records.
-
-    Returns:
-        Errors by the name of the machine.
-    """
+    """Return the errors of the declared, the refitted and the identified machine, by the name of each."""
     return {stage: measure(machine) for stage, machine in machines_of(answer).items()}

@@ -57,14 +57,7 @@ def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], alignment: st
 
 
 def with_interval(value: float, low: float, high: float, *, decimals: int = 3) -> str:
-    """Format a mean or a ratio with its interval or spread, "1.05 (1.02 to 1.08)".
-
-    Args:
-        value: Mean or ratio.
-        low: Lower limit of the interval.
-        high: Upper limit.
-        decimals: Number of decimals of all three.
-    """
+    """Format a mean or a ratio with its interval or spread, such as "1.05 (1.02 to 1.08)"."""
     return f"{value:.{decimals}f} ({low:.{decimals}f} to {high:.{decimals}f})"
 
 

@@ -221,7 +221,7 @@ def compare_rivals(
 
     Args:
         current: Fit of the machine with all effects.
-        label: Label (name@component) of the effect to compare.
+        label: Label (name@site) of the effect to compare.
         rivals: Its rivals. Those that add coordinates (structural effects) are not tried, and those that the
             machine has beside the effect remain no rivals: both are there. None is tried for an effect that
             adds coordinates, or that another effect requires.

@@ -1,7 +1,6 @@
 """What report.json contains: the one declaration by which it is written and read.
 
-Fields with a default are missing in results of older versions. Text is for the user; labels are
-name@component.
+Fields with a default are missing in results of older versions. Text is for the user; labels are name@site.
 """
 
 from __future__ import annotations

@@ -55,7 +55,7 @@ class ExperimentDesign:
     """Voltages of the proposed run and the expected difference between the two models' predictions.
 
     Attributes:
-        separates: Labels (name@component) of the two effects between which the run decides.
+        separates: Labels (name@site) of the two effects between which the run decides.
         time_s: Sample times, s, shape (n,).
         inputs: Inputs of the drives, in their units, shape (n, drives); the run starts at rest at zero.
         sigma: Root of the sum of squared differences of all predicted values, in standard deviations of the
@@ -118,7 +118,7 @@ def design_discriminating_experiment(
     Args:
         current: Fit of the machine with all selected effects, among them the identified one.
         corrected: The same machine with the covariance of its parameters.
-        label: Label (name@component) of the identified effect.
+        label: Label (name@site) of the identified effect.
         rivals: Rivals with fitted parameters, best first. Those that add coordinates (structural effects),
             those that the machine already has, and those that no recording can distinguish are not
             considered.
@@ -162,7 +162,7 @@ def separate_machines(
         first: One machine.
         second: The other machine, with its uncertainty. The machines may differ in their effects, but not in
             their sensors and drives.
-        labels: Labels (name@component) of the effects that distinguish the first and the second machine.
+        labels: Labels (name@site) of the effects that distinguish the first and the second machine.
         data: Recordings that both were fitted to. They supply the sensors' noise, the sampling period and,
             for a coordinate without a declared range, the permitted travel.
 

@@ -183,14 +183,7 @@ class TableComparison:
 
 
 def tables_of(machine: Machine) -> tuple[AppliedEffect, ...]:
-    """Return the tables (forces or friction levels over one variable) among a machine's effects.
-
-    Args:
-        machine: Identified machine.
-
-    Returns:
-        Tables with their sites and values, in the order of the machine's effects.
-    """
+    """Return the tables (forces or friction levels over one variable) among a machine's effects."""
     return tuple(e for e in machine.effects if e.definition.family == TABLE_FAMILY)
 
 
@@ -254,14 +247,7 @@ def compare_formulas(
 
 
 def mean_error(errors: Mapping[str, float]) -> float:
-    """Compute the mean of simulation errors over the sensor channels.
-
-    Args:
-        errors: Error by channel, in units of the sensor noise.
-
-    Returns:
-        Mean, in units of the sensor noise; NaN if there are no channels.
-    """
+    """Return the mean of simulation errors by channel, in units of the noise; NaN if there is none."""
     return float(np.mean(list(errors.values()))) if errors else math.nan
 
 

@@ -32,9 +32,6 @@ def verdict_sentence(report: Report) -> str:
     The error is the simulation error in units of the sensors' noise, root mean square over the channels. If
     the simulation drifts, the relative error of the drives' force is stated instead, if the report contains
     it.
-
-    Returns:
-        One or more English sentences.
     """
     return " ".join([*unknown_voltages(report), *undeclared_friction(report), _verdict_sentence(report)])
 

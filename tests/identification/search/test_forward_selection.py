@@ -11,7 +11,6 @@ from types import SimpleNamespace
 
 import pytest
 
-from hframe_gym.effects import EFFECTS
 from hframe_gym.identification.fit.estimation import describe_gain
 from hframe_gym.identification.judge.effect import hidden_by
 from hframe_gym.identification.predict.prediction import SIMULATION
@@ -27,9 +26,6 @@ from tests.identification.scripted_fits import (
     fit_with,
     selected,
 )
-
-DAHL = EFFECTS["dahl_hysteresis"].at("x", F=0.3, L=1e-3)
-
 
 # -- selection -----------------------------------------------------------------------------------------------
 
