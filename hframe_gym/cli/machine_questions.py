@@ -99,7 +99,7 @@ def file_obstacle(path: Path, force: bool) -> str:
 
 
 def motion_lines(machine: Machine) -> list[str]:
-    """Describe moved mass, stall force and top speed at rated voltage of rigid motions: do the units fit?
+    """Describe moved mass, stall force and top speed of rigid motions, in which wrong units show.
 
     A drive that controls its current or torque has no back-EMF, so that the machine file does not tell a top
     speed.

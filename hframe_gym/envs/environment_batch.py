@@ -344,7 +344,7 @@ class EnvironmentBatch:
 
 
 def batch_of(environment: Any) -> EnvironmentBatch:
-    """Return the batch of an environment, single, vector, or for stable-baselines3, or behind its wrapper.
+    """Return the batch of an environment: a single one, a vector, one for stable-baselines3, or wrapped.
 
     Raises:
         InputError: If the environment is not one of this package.

@@ -229,7 +229,7 @@ class TimeOptimalReach:
         return TimeOptimalMotion(T, statistics["success"], statistics["return_status"], edges, volts)
 
     def _commands(self, actions: Array, values: Array) -> Array:
-        """Return the commanded voltages (k, drives), V, that give the motors those of actions (k, drives)."""
+        """Return the commands (k, drives), V, that give the motors the voltages of actions (k, drives)."""
         by_name = dict(zip(self.machine.parameters, values.tolist(), strict=True))
         low, high = (np.array(limit, float) for limit in voltage_limits(Equations(self.machine, by_name)))
         motor_voltage = 0.5 * (low + high) + 0.5 * (high - low) * actions
