@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable
+from difflib import get_close_matches
 from importlib import import_module
 from itertools import pairwise
 from typing import Any, TypeVar
@@ -45,6 +46,17 @@ class CommandGroup(TyperGroup):
         """Parse the command line of the group; without a command, that of `list`."""
         rest: list[str] = super().parse_args(ctx, args or ["list"] * ("list" in self.commands))
         return rest
+
+    @override
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the command of a command line; the user may have named what the command shall show."""
+        name, names = args[0], list(self.commands)
+        if "show" in names and name not in names and name[:1] != "-" and not get_close_matches(name, names):
+            ctx.fail(
+                f"{name!r} is none of the commands {', '.join(names)}; "
+                f"if you want to see it: hframe {self.name} show {name}"
+            )
+        return super().resolve_command(ctx, args)
 
     @override
     def get_command(self, ctx: Any, cmd_name: str) -> Any:

@@ -263,7 +263,7 @@ def simulate(
 
     Raises:
         ValueError: If the shapes do not fit the machine, times do not increase or span more than 1e9 steps,
-            or a value is not finite.
+            the longest step is not positive, or a value is not finite.
         NotFiniteError: If the motion diverges; the message names time and coordinate.
 
     References:
@@ -272,6 +272,8 @@ def simulate(
     require_machine(machine)
     grid = np.asarray(time_s, float)
     voltages = np.asarray(inputs, float)
+    if not 0.0 < longest_step < np.inf:
+        raise ValueError(f"longest_step is {longest_step!r}, it must be a positive number of seconds")
     if grid.ndim == 1 and len(grid) and grid[-1] - grid[0] > MOST_STEPS * longest_step:
         raise ValueError(f"time_s spans {grid[-1] - grid[0]:g} s, which are more than {MOST_STEPS:.0e} steps")
     if grid.ndim != 1 or len(grid) == 0 or np.any(np.diff(grid) <= 0) or not np.all(np.isfinite(grid)):

@@ -165,6 +165,12 @@ def test_invalid_input_is_refused(
         simulate(hframe, time, inputs)
 
 
+@pytest.mark.parametrize("step", [-1e-3, 0.0, float("nan"), float("inf")])
+def test_a_longest_step_that_is_no_time_is_refused(step: float, hframe: Machine) -> None:
+    with pytest.raises(ValueError, match=r"longest_step is .*, it must be a positive number of seconds"):
+        simulate(hframe, [0.0, 1e-3], np.zeros((2, 2)), longest_step=step)
+
+
 def test_measurements_without_gains_correct_nothing() -> None:
     """Without observer gains, measurements leave the simulation unchanged."""
     machine = BUILTIN_MACHINES["axis"]()

@@ -62,6 +62,7 @@ def read_columns(
     lenient: bool = False,
     progress: Progress | None = None,
     max_rows: int | None = None,
+    texts: Sequence[int] = (),
 ) -> tuple[list[NDArray[Any]], list[str]]:
     """Read columns of numbers and time stamps from a text file.
 
@@ -71,18 +72,19 @@ def read_columns(
             NaN.
         progress: Called with the number of bytes read since the last call.
         max_rows: Number of rows after which reading stops. Default: all rows are read.
+        texts: Those of the columns whose cells are texts.
 
     Returns:
         values: One array per column, in the unit of the file, shape (rows,): float64, NaN where a cell is
             empty, or datetime64[ns] for a column of time stamps (NaT where empty; times of day have the date
-            1970-01-01).
+            1970-01-01), or texts as they are written.
         remarks: Sentences for the user about lines and an incomplete last row that were left out.
 
     Raises:
         InputError: If the file cannot be read, rows differ in length, or a cell is not a number. The message
             names file, row and column.
     """
-    reader = _BlockReader(path, layout, columns, lenient)
+    reader = _BlockReader(path, layout, columns, lenient, texts)
     for block, is_last in _blocks(path, layout, progress):
         reader.add(block, is_last)
         if max_rows is not None and sum(map(len, reader.tables)) >= max_rows:
@@ -95,6 +97,10 @@ def read_columns(
     for k, column in enumerate(reader.stamps):
         stamps = [np.zeros(0, "datetime64[ns]"), *(block[k] for block in reader.stamp_blocks)]
         values[column] = np.concatenate(stamps)[:max_rows]
+    for k, column in enumerate(reader.texts):
+        values[column] = np.concatenate([np.zeros(0, "U1"), *(block[k] for block in reader.text_blocks)])[
+            :max_rows
+        ]
     remarks = []
     if reader.comments:
         remarks.append(
@@ -160,20 +166,26 @@ class _BlockReader:
     Attributes:
         numbers: Indices of the columns of numbers that are read.
         stamps: Indices of the columns of time stamps that are read.
+        texts: Indices of the columns of texts that are read.
         tables: Numbers of each block, shape (rows, number columns).
         stamp_blocks: Time stamps of each block, one array per stamp column.
+        text_blocks: Texts of each block, one array per column of texts.
         comments: Number of comment lines left out.
         incomplete: Whether the last row was left out.
         lines_below: Number of lines below the data left out.
     """
 
-    def __init__(self, path: Path, layout: TextFormat, columns: Sequence[int], lenient: bool) -> None:
+    def __init__(
+        self, path: Path, layout: TextFormat, columns: Sequence[int], lenient: bool, texts: Sequence[int]
+    ) -> None:
         self._path, self._layout, self._lenient = path, layout, lenient
         self._decimal, self._rows, self._had_blanks, self._held = layout.decimal, 0, False, ""
-        self.numbers = [c for c in columns if layout.kinds[c] != "stamp"]
-        self.stamps = [c for c in columns if layout.kinds[c] == "stamp"]
+        self.texts = list(texts)
+        self.numbers = [c for c in columns if layout.kinds[c] != "stamp" and c not in texts]
+        self.stamps = [c for c in columns if layout.kinds[c] == "stamp" and c not in texts]
         self.tables: list[Array] = []
         self.stamp_blocks: list[list[NDArray[np.datetime64]]] = []
+        self.text_blocks: list[list[NDArray[np.str_]]] = []
         self.comments, self.incomplete, self.lines_below = 0, False, 0
 
     def add(self, block: str, is_last: bool) -> None:
@@ -210,7 +222,8 @@ class _BlockReader:
             last_row = self._rows + rows
             raise InputError(f"{self._path}, rows {self._rows + 1} to {last_row}: cannot be read as numbers")
         self._rows += rows
-        refuse_many_values(self._path, self._rows, len(self.numbers) + len(self.stamps))
+        columns = len(self.numbers) + len(self.stamps) + len(self.texts)
+        refuse_many_values(self._path, self._rows, columns)
 
     def _split_end(self, block: str) -> tuple[str, list[str]]:
         """Split lines into those up to the last row, and text below it, such as a controller's settings."""
@@ -250,16 +263,19 @@ class _BlockReader:
 
     def _convert(self, text: str) -> bool:
         """Append the numbers and time stamps of a block; return False if a cell is of another type."""
+        as_written = text
         for fill_blanks in (True,) if self._had_blanks else (False, True):
             if fill_blanks:
                 text = _MISSING_CELL.sub("nan", text)
             try:
                 table = self._load(text, self.numbers, float) if self.numbers else None
                 stamps = [parse_stamps(self._load(text, [c], str)[:, 0].tolist()) for c in self.stamps]
+                texts = [self._load(as_written, [c], str)[:, 0] for c in self.texts]
             except ValueError:
                 continue
             self._had_blanks = fill_blanks
             self.stamp_blocks.append(stamps)
+            self.text_blocks.append(texts)
             self.tables.append(np.zeros((text.count("\n") + 1, 0)) if table is None else table)
             return True
         return False

@@ -197,3 +197,35 @@ def test_a_file_of_another_program_is_refused_by_name_alone_and_in_a_folder(
     for path in (tmp_path / "logs" / name, tmp_path / "logs"):
         with pytest.raises(InputError, match=rf"{name}: {message}|{name}: .*{message}"):
             import_logs(path, tmp_path / "runs", axis)
+
+
+@pytest.mark.parametrize("sparse", [False, True])
+def test_each_test_that_a_column_of_a_table_marks_becomes_a_run(
+    tmp_path: Path, axis: Machine, sparse: bool
+) -> None:
+    """The states of the tests stand in each row, or only where they change."""
+    states = ["none"] * 5 + ["quasistatic-forward"] * 30 + ["none"] * 2 + ["dynamic-reverse"] * 25
+    states += ["none"] + ["quasistatic-forward"] * 22
+    rows = [
+        f"{0.02 * k:.2f},{0.1 * k:.1f},{0.01 * k if k % 7 else '':},"
+        f"{'' if sparse and k and state == states[k - 1] else state}"
+        for k, state in enumerate(states)
+    ]
+    header = "timestamp [s],voltage [V],position [m],/drive/sysid-test-state"
+    (tmp_path / "log.csv").write_text("\n".join([header, *rows]) + "\n")
+    columns = dict.fromkeys(axis.output_channels, "none")
+    columns |= {axis.input_channels[0]: "voltage", axis.output_channels[0]: "position"}
+    files = import_logs(tmp_path / "log.csv", tmp_path / "runs", axis, settings(**columns), print)
+    names = ["quasistatic-forward_1", "dynamic-reverse", "quasistatic-forward_2"]
+    assert [file.name for file in files] == [f"log_{name}.csv.gz" for name in names]
+    runs = {run.name: run for run in load_recordings(tmp_path / "runs", axis)}
+    np.testing.assert_allclose(runs["log_dynamic-reverse"].inputs[:, 0], 0.1 * np.arange(37, 62))
+
+
+def test_a_column_of_other_texts_marks_no_tests(tmp_path: Path, axis: Machine) -> None:
+    rows = [f"{0.02 * k:.2f},{0.1 * k:.1f},{0.01 * k:.2f},{'auto' if k > 20 else 'none'}" for k in range(40)]
+    (tmp_path / "log.csv").write_text("\n".join(["time,voltage,position,mode", *rows]) + "\n")
+    columns = dict.fromkeys(axis.output_channels, "none")
+    columns |= {axis.input_channels[0]: "voltage", axis.output_channels[0]: "position"}
+    files = import_logs(tmp_path / "log.csv", tmp_path / "runs", axis, settings(**columns), print)
+    assert [file.name for file in files] == ["log.csv.gz"]

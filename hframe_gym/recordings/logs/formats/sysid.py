@@ -6,11 +6,15 @@ The file has an object with the entries "sysid" (true), "test" (kind of the mech
 
 Files of frc-characterization, which SysId replaced, have the same tests without the entry "sysid", and
 further columns. Most of them do not state the unit of positions, which the robot's program chose.
+
+Logs of a robot mark the tests by a text in each row, such as "dynamic-forward", or "none" between them
+(`tests_of_states`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,6 +31,8 @@ from ..foreign_files import is_json
 from ..log import Log, log_columns
 from .base import KNOWN_CONTENT, LOG_FORMATS, LogFormat
 
+STATES = ("quasistatic-forward", "quasistatic-reverse", "dynamic-forward", "dynamic-reverse")
+NO_TEST = "none"
 TESTS = ("slow-forward", "slow-backward", "fast-forward", "fast-backward")
 # Unit in which positions are given, and its number in one of the entry "units".
 _UNITS = {
@@ -73,6 +79,33 @@ class SysIdTest:
     names: tuple[str, ...]
     columns: list[Array]
     remarks: tuple[str, ...]
+
+
+def are_states(texts: Iterable[str]) -> bool:
+    """Return whether texts mark the tests of SysId: all are states, and a test is among them."""
+    different = set(texts)
+    return different <= {*STATES, NO_TEST} and not different <= {NO_TEST}
+
+
+def tests_of_states(states: Sequence[str]) -> list[tuple[str, int, int]]:
+    """Return the tests in a sequence of states: the state, its first index, and the one after its last."""
+    changes = [k for k in range(len(states)) if k == 0 or states[k] != states[k - 1]]
+    ends = [*changes[1:], len(states)]
+    return [
+        (states[first], first, end)
+        for first, end in zip(changes, ends, strict=True)
+        if states[first] != NO_TEST
+    ]
+
+
+def numbered(names: Sequence[str]) -> list[str]:
+    """Return names that differ: those that occur more than once get a number, "dynamic-forward_2"."""
+    counts, numbers = Counter(names), Counter[str]()
+    different = []
+    for name in names:
+        numbers[name] += 1
+        different.append(f"{name}_{numbers[name]}" if counts[name] > 1 else name)
+    return different
 
 
 @LOG_FORMATS.register("sysid")

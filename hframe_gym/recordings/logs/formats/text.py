@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,10 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
+from ...tables.cells import is_missing
 from ...tables.text_format import TextFormat, detect_format
 from ...tables.text_reader import Progress, read_columns
 from ..log import Log, log_columns, vector_log
 from .base import ANY_TEXT, LOG_FORMATS, LogFormat
+from .sysid import NO_TEST, STATES, are_states, numbered, tests_of_states
 
 # Rows of a run, at least: a table without names that has fewer rows, and this many columns, has a quantity in
 # each row.
@@ -41,8 +44,47 @@ class TextLogs(LogFormat):
 
     @override
     def open(self, path: Path) -> list[Log]:
-        """Detect the table's format and the names of its columns."""
-        return [open_text_table(path)]
+        """Detect the table's format and the names of its columns; each test of SysId in it is a log."""
+        log = open_text_table(path)
+        tests = _tests(path, detect_format(path))
+        return [_rows_of(log, name, first, end) for name, first, end in tests] or [log]
+
+
+def _tests(path: Path, layout: TextFormat) -> list[tuple[str, int, int]]:
+    """Return the tests that a column of texts marks: name, first row and the one after the last; or none."""
+    texts = [k for k, kind in enumerate(layout.kinds) if kind == "text"]
+    if not texts:
+        return []
+    beginnings, _ = read_columns(path, layout, texts, lenient=True, max_rows=_LEAST_ROWS, texts=texts)
+    for column, beginning in zip(texts, beginnings, strict=True):
+        if not {*_states(beginning)} <= {*STATES, NO_TEST}:
+            continue
+        (cells,), _ = read_columns(path, layout, [column], lenient=True, texts=[column])
+        states = _states(cells)
+        if are_states(states):
+            tests = tests_of_states(states)
+            names = numbered([name for name, _, _ in tests])
+            return [(name, first, end) for name, (_, first, end) in zip(names, tests, strict=True)]
+    return []
+
+
+def _states(cells: NDArray[np.str_]) -> list[str]:
+    """Return the states in a column of texts; an empty cell repeats the one above."""
+    states: list[str] = []
+    for cell in map(str.strip, cells.tolist()):
+        unchanged = is_missing(cell) and cell != NO_TEST
+        states.append((states or [NO_TEST])[-1] if unchanged else cell)
+    return states
+
+
+def _rows_of(log: Log, name: str, first: int, end: int) -> Log:
+    """Return some rows of a log as a part of it."""
+
+    def read(indices: Sequence[int], progress: Progress | None) -> tuple[list[NDArray[Any]], list[str]]:
+        values, remarks = log.reader(indices, progress)
+        return [column[first:end] for column in values], remarks
+
+    return dataclasses.replace(log, reader=read, part=name)
 
 
 def open_text_table(

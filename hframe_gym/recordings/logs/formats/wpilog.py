@@ -14,7 +14,6 @@ import json
 import re
 import struct
 from array import array
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,6 +29,7 @@ from ...quantities import is_unit, normalize_unit
 from ...tables.text_reader import Progress
 from ..log import Log
 from .base import KNOWN_CONTENT, LOG_FORMATS, LogFormat, first_of
+from .sysid import NO_TEST, STATES, are_states, numbered, tests_of_states
 from .tables import MOST_ITEMS, Rows, TimedTable, log_of_tables, signal_columns
 
 _NUMBERS = {"boolean": "u1", "int64": "<i8", "float": "<f4", "double": "<f8"}  # NumPy types of the payloads
@@ -50,10 +50,7 @@ _STRUCT_NUMBERS = {
     "float64": "<f8",
 }
 _DEEPEST = 8  # structures in structures
-# Of SysId's tests.
-_STATES = ("quasistatic-forward", "quasistatic-reverse", "dynamic-forward", "dynamic-reverse")
-_NO_TEST = "none"
-_LONGEST_STATE = 32  # characters
+_LONGEST_STATE = 32  # characters of a state of SysId
 _SCHEMA = "/.schema/"  # names of entries that describe structures begin so
 _SCHEMA_TYPE = "structschema"
 _MEMBER = re.compile(
@@ -205,21 +202,12 @@ def _tests(content: bytes, entries: Sequence[_Entry]) -> list[tuple[str, float, 
     for entry, states in marks:
         order = np.argsort(np.array(entry.times), kind="stable")
         times, ordered = np.array(entry.times)[order] / 1e6, [states[k] for k in order]
-        changes = [k for k in range(len(ordered)) if k == 0 or ordered[k] != ordered[k - 1]]
-        for begin, end in zip(changes, [*changes[1:], None], strict=True):
-            if ordered[begin] != _NO_TEST:
-                name = (
-                    f"{entry.name.rpartition('/')[2]}_{ordered[begin]}" if len(marks) > 1 else ordered[begin]
-                )
-                tests.append((name, float(times[begin]), float(times[end]) if end is not None else np.inf))
+        for state, begin, end in tests_of_states(ordered):
+            name = f"{entry.name.rpartition('/')[2]}_{state}" if len(marks) > 1 else state
+            tests.append((name, float(times[begin]), float(times[end]) if end < len(times) else np.inf))
     tests.sort(key=lambda test: test[1])
-    counts = Counter(name for name, _, _ in tests)
-    numbers: Counter[str] = Counter()
-    numbered = []
-    for name, start, stop in tests:
-        numbers[name] += 1
-        numbered.append((f"{name}_{numbers[name]}" if counts[name] > 1 else name, start, stop))
-    return numbered
+    names = numbered([name for name, _, _ in tests])
+    return [(name, begin, end) for name, (_, begin, end) in zip(names, tests, strict=True)]
 
 
 def _states(content: bytes, entry: _Entry) -> list[str]:
@@ -229,10 +217,10 @@ def _states(content: bytes, entry: _Entry) -> list[str]:
     states = []
     for start, size in zip(entry.starts, entry.sizes, strict=True):
         state = content[start : start + size] if size <= _LONGEST_STATE else b""
-        if state.decode("ascii", errors="replace") not in (*_STATES, _NO_TEST):
+        states.append(state.decode("ascii", errors="replace"))
+        if states[-1] not in (*STATES, NO_TEST):
             return []
-        states.append(state.decode())
-    return states if any(state != _NO_TEST for state in states) else []
+    return states if are_states(states) else []
 
 
 def _during(table: TimedTable, begin: float, end: float) -> TimedTable:
