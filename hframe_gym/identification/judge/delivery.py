@@ -12,6 +12,8 @@ from .criteria import SelectionCriteria
 from .error import AS_GOOD
 from .verdict import Verdict
 
+NO_CLEAR_GAIN = "does not clearly reduce the error of the held-out runs"
+
 
 def is_worse_than(ratio: float, left: float, criteria: SelectionCriteria) -> bool:
     """Return whether a machine predicts held-out runs worse than a simpler one: the plain fit, the declared.

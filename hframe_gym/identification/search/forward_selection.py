@@ -12,13 +12,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
 from ...line_log import LineLog
 from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset
-from ..budget import expect_tests, may_begin_again, note_error, seconds_spent, spend
+from ..budget import BudgetEndedError, expect_tests, may_begin_again, note_error, seconds_spent, spend
 from ..evidence.rivals import (
     close_rivals,
     compare_rivals,
@@ -81,6 +82,11 @@ class EffectSearch:
     Args:
         refitted: Machine before effects are added.
         log: Called with a line of text for each candidate.
+        drawback: Called with the fit of a machine with an effect that passes all tests. Returns why an effect
+            that explains less would be preferred, a clause that follows "it "; "" if none would. Where all
+            have a drawback, the one that explains most is selected. Default: none has one.
+        counts: Whether the number of changes of the voltages between the rows is asked again after each
+            effect.
 
     Attributes:
         considered: Effects that reduced the error but failed a test, by label (name@site).
@@ -88,8 +94,18 @@ class EffectSearch:
         data: The recordings; `run` may replace the initial states of their runs by more probable ones.
     """
 
-    def __init__(self, data: Dataset, refitted: Machine, criteria: SelectionCriteria, log: LineLog) -> None:
+    def __init__(
+        self,
+        data: Dataset,
+        refitted: Machine,
+        criteria: SelectionCriteria,
+        log: LineLog,
+        drawback: Callable[[Fit], str] | None = None,
+        *,
+        counts: bool = True,
+    ) -> None:
         self.data, self._refitted, self._criteria, self._log = data, refitted, criteria, log
+        self._drawback, self._counts = drawback, counts
         self.considered: dict[str, ConsideredEffect] = {}
         # Observer bandwidth and excess of chi-squared at which structural effects were tried and no effect
         # passed.
@@ -116,7 +132,9 @@ class EffectSearch:
             Search with a copy of `considered`; structural effects are tried again once the error is clearly
             smaller.
         """
-        search = EffectSearch(data, self._refitted, self._criteria, self._log)
+        search = EffectSearch(
+            data, self._refitted, self._criteria, self._log, self._drawback, counts=self._counts
+        )
         search.considered, search._structures_failed = dict(self.considered), self._structures_failed
         search._screened = dict(self._screened)
         return search
@@ -158,7 +176,7 @@ class EffectSearch:
             expect_tests((len(selected) + 1) * self._seconds)  # a fit with the finest step comes before
             # Effects beside held voltages that are not held may be false; another number of changes moves
             # them little.
-            counts_again = noise_known or may_begin_again()
+            counts_again = self._counts and (noise_known or may_begin_again())
             if counts_again and (updates := other_updates(best, self.data, criteria)):
                 raise VoltagesChangeError(best.machine, selected, updates)
             current, selected = self._settled(best, selected)
@@ -384,30 +402,56 @@ class EffectSearch:
         return current, selected
 
     def _best(self, current: Fit, trials: list[Fit], enough: float) -> Fit | None:
-        """Return the converged fit of the first trial that passes all tests, None if there is none."""
+        """Return the converged fit of the first trial that passes all tests, None if there is none.
+
+        One with a drawback is returned only if no other one passes without, as far as the time reaches.
+        """
         without = TestedFit(current, self.data)
         unexplained: list[Fit] = []  # with effects that explain what no effect may cause
-        for trial in trials:
-            if not judge.is_worth_convergence(current.error, trial.error, enough, self._criteria):
-                return None
-            began = seconds_spent()
-            fitted = converge(trial, self.data, thorough=not nearly_explains(current.error, self._criteria))
-            effect, gain = fitted.machine.effects[-1], (current.cost - fitted.cost) / self.data.count
-            self._log(f"  {effect.label} {describe_gain(current, fitted)}")
-            if not is_enough(current.error, fitted.error, enough):
-                self._log(f"  {effect.label} is not selected: a reduction by {enough:.2g} is required")
-                continue
-            doubt = doubt_about_candidate(without, fitted, self._criteria)
-            if may_be_no_effect(doubt):
-                unexplained.append(fitted)
-            doubt = doubt or self._doubt_beside(unexplained, current, fitted, enough)
-            if not doubt:
-                self._seconds = seconds_spent() - began
-                return fitted
-            self._log(f"  {effect.label} is not selected: it {doubt}")
-            self.considered[effect.label] = ConsideredEffect(effect, fitted.machine, current.machine, doubt)
-            if self._doubted is None or gain > self._doubted[0]:
-                self._doubted = gain, (current, selected_first(fitted, trials))
+        passed: Fit | None = None
+        try:
+            for trial in trials:
+                if not judge.is_worth_convergence(current.error, trial.error, enough, self._criteria):
+                    break
+                fitted = self._tested(without, trial, trials, enough, unexplained)
+                if fitted is None:
+                    continue
+                drawback = "" if self._drawback is None else self._drawback(fitted)
+                if not drawback:
+                    return fitted
+                self._log(f"  {fitted.machine.effects[-1].label} waits for others: it {drawback}")
+                passed = passed or fitted
+        except BudgetEndedError:
+            if passed is None:
+                raise
+        return passed
+
+    def _tested(
+        self, without: TestedFit, trial: Fit, trials: list[Fit], enough: float, unexplained: list[Fit]
+    ) -> Fit | None:
+        """Return the converged fit of a trial if its effect passes all tests, else None.
+
+        Args:
+            unexplained: Fits whose effects explain what no effect may cause; such a fit is appended.
+        """
+        current, began = without.fitted, seconds_spent()
+        fitted = converge(trial, self.data, thorough=not nearly_explains(current.error, self._criteria))
+        effect, gain = fitted.machine.effects[-1], (current.cost - fitted.cost) / self.data.count
+        self._log(f"  {effect.label} {describe_gain(current, fitted)}")
+        if not is_enough(current.error, fitted.error, enough):
+            self._log(f"  {effect.label} is not selected: a reduction by {enough:.2g} is required")
+            return None
+        doubt = doubt_about_candidate(without, fitted, self._criteria)
+        if may_be_no_effect(doubt):
+            unexplained.append(fitted)
+        doubt = doubt or self._doubt_beside(unexplained, current, fitted, enough)
+        if not doubt:
+            self._seconds = seconds_spent() - began
+            return fitted
+        self._log(f"  {effect.label} is not selected: it {doubt}")
+        self.considered[effect.label] = ConsideredEffect(effect, fitted.machine, current.machine, doubt)
+        if self._doubted is None or gain > self._doubted[0]:
+            self._doubted = gain, (current, selected_first(fitted, trials))
         return None
 
     def _doubt_beside(self, others: list[Fit], current: Fit, fitted: Fit, enough: float) -> str:

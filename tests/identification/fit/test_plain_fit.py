@@ -367,6 +367,11 @@ def test_a_weight_is_found_although_a_constant_force_has_taken_a_part_of_it() ->
     assert plain.simulated.chi2 < 1.5
 
 
+def confirmed_by_all(machine: Machine) -> bool:
+    """Stand in for held-out runs that confirm each machine."""
+    return True
+
+
 def test_what_is_left_is_described_in_simulation_without_naming_a_cause() -> None:
     """A force over speed that the machine lacks: the description removes most of complete runs' error."""
     true = axis(TRUE).with_effects(EFFECTS["quadratic_drag"].at("x", c=40.0))
@@ -374,10 +379,38 @@ def test_what_is_left_is_described_in_simulation_without_naming_a_cause() -> Non
     plain = plain_fit(axis(TRUE), data)
     assert plain is not None
     before = prediction_cost(plain.machine, equally_weighted(data), 0.0)
-    [(fitted, labels)] = descriptions(plain.simulated, data, SelectionCriteria(), print, Budget())
+    [(fitted, labels)] = descriptions(
+        plain.simulated, data, SelectionCriteria(), print, Budget(), confirmed_by_all
+    )
     assert labels == ("quadratic_drag@x",)
     assert prediction_cost(fitted.machine, equally_weighted(data), 0.0) < 0.01 * before
-    assert not list(descriptions(plain.simulated, data, SelectionCriteria(), print, Budget(0.0)))
+    assert not list(
+        descriptions(plain.simulated, data, SelectionCriteria(), print, Budget(0.0), confirmed_by_all)
+    )
+
+
+@pytest.mark.parametrize("others", [True, False])
+def test_the_next_effect_describes_where_the_held_out_runs_do_not_confirm_the_best_one(others: bool) -> None:
+    """Where they confirm no other either, the best one remains: with a second effect, it may still help."""
+    true = axis(TRUE).with_effects(EFFECTS["quadratic_drag"].at("x", c=40.0))
+    data = prepare(measure(true)[:2], axis(TRUE))
+    plain = plain_fit(axis(TRUE), data)
+    assert plain is not None
+    tried: list[str] = []
+    lines: list[str] = []
+
+    def confirmed_without_drag(machine: Machine) -> bool:
+        tried.append(machine.effects[-1].label)
+        return others and tried[-1] != "quadratic_drag@x"
+
+    found = descriptions(
+        plain.simulated, data, SelectionCriteria(), lines.append, Budget(), confirmed_without_drag
+    )
+    _, labels = next(found)
+    assert tried[0] == "quadratic_drag@x"
+    assert len(tried) > 1
+    assert labels == (tried[1 if others else 0],)
+    assert any(line.startswith("  quadratic_drag@x waits for others") for line in lines)
 
 
 def test_a_description_may_correct_the_form_of_its_first_effect() -> None:
@@ -394,7 +427,9 @@ def test_a_description_may_correct_the_form_of_its_first_effect() -> None:
     # spring's way.
     assert plain.terms == ()
     assert "constant_force@x" in plain.extended[-1].terms
-    *_, (_, labels) = descriptions(plain.simulated, data, SelectionCriteria(), print, Budget())
+    *_, (_, labels) = descriptions(
+        plain.simulated, data, SelectionCriteria(), print, Budget(), confirmed_by_all
+    )
     assert labels == ("cable_spring@x", "friction_slope@x")
 
 
@@ -435,7 +470,7 @@ def test_a_description_stands_where_the_voltages_change_between_rows() -> None:
     data = prepare(recordings, declared)
     plain = plain_fit(declared, data)
     assert plain is not None
-    found = descriptions(plain.simulated, data, SelectionCriteria(), print, Budget())
+    found = descriptions(plain.simulated, data, SelectionCriteria(), print, Budget(), confirmed_by_all)
     described, labels = next(found)
     assert (
         len(labels) == 1

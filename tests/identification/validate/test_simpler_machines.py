@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -179,11 +179,14 @@ def test_effects_are_searched_for_where_those_whose_names_were_withdrawn_leave_m
     errors_of = {(): 3000.0, (SPRING_LABEL,): with_spring, (DRAG_LABEL,): with_drag}
     judgment, begun = withdrawn_names(AXIS, errors_of, "unexplained"), []
 
-    def further() -> Iterator[tuple[Fit, tuple[str, ...]]]:
+    def further(helps: Callable[[Machine], bool]) -> Iterator[tuple[Fit, tuple[str, ...]]]:
         begun.append(drag)
-        yield fit_of(AXIS.replace(effects=(drag,))), (drag.label,)
+        machine = AXIS.replace(effects=(drag,))
+        assert helps(machine) == (described == DRAG_LABEL)
+        yield fit_of(machine), (drag.label,)
+        assert not helps(machine)  # no better than itself
 
-    description = best_description(judgment, judgment.evaluated.before, further(), lambda line: None)
+    description = best_description(judgment, judgment.evaluated.before, further, lambda line: None)
     assert description is not None
     assert [e.label for e in description.evaluated.after.machine.effects] == [described]
     assert description.evaluated.selected == ()
