@@ -62,7 +62,11 @@ def cause_of_remainder(report: Report) -> str:
         return f"{reason_of_remainder(report)}."
     subject = f"{' and '.join(runs)} contradict{'s' if len(runs) == 1 else ''}"
     others = report.left_in_others
-    elsewhere = "" if others is None else f" On the other held-out runs, it is {number(others)} times."
+    elsewhere = (
+        ""
+        if others is None
+        else f" On the other held-out runs, it is {number(others)} times the sensors' noise."
+    )
     return f", because {subject} the fitted runs (see the warnings).{elsewhere}"
 
 
@@ -88,7 +92,7 @@ def reason_of_remainder(report: Report) -> str:
     if report.left is not None and is_better_than_table(error, report.left):
         return (
             f"; with the proposed formula ({formulas[error]}) "
-            f"in place of the table, it is {number(error)} times"
+            f"in place of the table, it is {number(error)} times the sensors' noise"
         )
     if tables:
         return ". A table has straight pieces and names no cause"
@@ -121,6 +125,12 @@ def largest_position_error(evaluation: Evaluation) -> str:
     return f"{number(factor * rmse)} {unit} rms at {channel}"
 
 
+def in_user_units(evaluation: Evaluation) -> str:
+    """Return the largest rms error of a position in words; that of several channels is the largest one."""
+    most = "at most " if len(evaluation.channels) > 1 else ""
+    return f"{most}{largest_position_error(evaluation)}"
+
+
 def missing_forces(evaluations: Sequence[Evaluation]) -> list[str]:
     """Return the forces that machines lack, with their unit, "" where none is known.
 
@@ -135,22 +145,34 @@ def missing_forces(evaluations: Sequence[Evaluation]) -> list[str]:
     return ["" if part is None else f"{number(part)} %" for part in parts]
 
 
-def parts_of_remainder(report: Report) -> list[str]:
-    """Return the error that is left: the largest in mm, all in multiples of noise, motion, force."""
+def parts_of_remainder(report: Report, *, error: bool = True) -> list[str]:
+    """Return the error that is left: the largest in mm, all in multiples of noise, motion, force.
+
+    Args:
+        error: Whether to state it in mm and in multiples of the noise.
+    """
     if report.left is None:
         return []
     motions, (force,) = report.after.percents_of_motion, missing_forces([report.after])
-    left = f"{number(report.left)} times the sensors' noise"
-    of_all = f"; over all channels {left}" if len(report.after.channels) > 1 else f", {left}"
-    parts = [largest_position_error(report.after) + of_all]
+    several = len(report.after.channels) > 1
+    parts = []
+    if error:
+        over_all = "; over all channels" if several else ","
+        left = f"{number(report.left)} times the sensors' noise"
+        parts.append(f"{largest_position_error(report.after)}{over_all} {left}")
     if motions:
-        parts.append(f"{number(max(motions))} % of the motion of the channel where that is most")
+        of_channel = " of the channel where that is most" if several else ""
+        parts.append(f"{number(max(motions))} % of the motion{of_channel}")
     if force and not force.startswith("0 "):
         parts.append(f"a missing force of {force}{' of that of the drives' * force.endswith('%')}")
     return parts
 
 
-def remainder_in_words(report: Report) -> list[str]:
-    """Return a sentence about the error that is left in the user's terms, if it is known."""
-    parts = parts_of_remainder(report)
-    return [f"Left on the held-out runs: {'; '.join(parts)}."] if len(parts) > 1 else []
+def remainder_in_words(report: Report, *, error: bool) -> list[str]:
+    """Return a sentence about what is left relative to the motion and to the drives, if that is known.
+
+    Args:
+        error: Whether to state the error as well, because no other sentence does.
+    """
+    parts = parts_of_remainder(report, error=error)
+    return [f"Left on the held-out runs: {'; '.join(parts)}."] if len(parts) > error else []

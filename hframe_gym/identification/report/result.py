@@ -66,14 +66,6 @@ class Unfinished(NamedTuple):
     reason: str
     interrupted: bool = False
 
-    def __str__(self) -> str:
-        """Return a sentence for the user."""
-        return (
-            f"The search is not complete: {self.reason} ({self.stage}). "
-            "Effects and tables that would have followed were not tried, "
-            "so the verdict is that of what was found until then. A larger --budget continues."
-        )
-
 
 @dataclass(frozen=True)
 class IdentificationResult:
@@ -191,9 +183,8 @@ class IdentificationResult:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What limits the result, one sentence each: incomplete search, parameters at limits, unused runs."""
-        unfinished = (str(self.unfinished),) if self.unfinished else ()
-        return (*unfinished, *self.limit_warnings, *self.divergence_warnings, *self.run_warnings)
+        """What else limits the result, one sentence each: parameters at limits, unused runs."""
+        return (*self.limit_warnings, *self.divergence_warnings, *self.run_warnings)
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of report.json as plain data; see `as_report`."""

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ...effects import EFFECTS
 from ...web_page import number
 from ..fit.voltage_updates import is_timing
 from .document import STAGES, Considered, Report, UnknownVoltages, compared_machines
-from .remainder import DIVERGES, cause_of_remainder, drifts, largest_position_error, remainder_in_words
+from .remainder import DIVERGES, cause_of_remainder, drifts, in_user_units, remainder_in_words
 from .units import readable_unit
 
 # Fraction of the refitted machine's error below which that of the declared one is mentioned.
@@ -78,20 +80,23 @@ def unknown_voltages(report: Report) -> list[str]:
     return [
         f"The controller changes the {commands} about {unknown.changes_per_row} times "
         f"between two rows of this log (every {period}), and the log does not contain these {commands}.",
-        "In a simulation of the held-out runs, even the exact machine is therefore expected to err by "
-        f"{' and '.join(sizes)} (rms): what changes the motion by less cannot be found.",
-        *(
-            [
-                f"The machine that is delivered leaves only {' and '.join(refuted)}: "
-                "this estimate is too large."
-            ]
-            if refuted
-            else []
-        ),
+        *_unknown_error(sizes, refuted),
         *_hidden_delay(report, unknown),
         *([_BY_INSTRUMENTS.format(commands)] if by_instruments else []),
         f"To find more, {advice}.",
     ]
+
+
+def _unknown_error(sizes: Sequence[str], refuted: Sequence[str]) -> list[str]:
+    """Return a sentence about what the unknown voltages cause, by channel, or where less is left."""
+    expected = (
+        "In a simulation of the held-out runs, even the exact machine is therefore expected to err by "
+        f"{' and '.join(sizes)} (rms)"
+    )
+    if refuted:
+        left = " and ".join(refuted)
+        return [f"{expected}; the machine that is delivered leaves only {left}, so that this is too large."]
+    return [f"{expected}: what changes the motion by less cannot be found."]
 
 
 def _hidden_delay(report: Report, unknown: UnknownVoltages) -> list[str]:
@@ -111,11 +116,14 @@ def _verdict_sentence(report: Report) -> str:
     """Describe the verdict and the error on the held-out runs."""
     errors: dict[str, float | None]
     if drifts(report):
-        unit = "% of the drives' force"
+        unit = of_refitted = of_delivered = "% of the drives' force"
         errors = {stage: 100.0 * (report.machines[stage].force_error or 0.0) for stage in STAGES}
     else:
         unit = "times the sensors' noise"
         errors = {stage: report.machines[stage].noise_ratio for stage in STAGES}
+        of_refitted, of_delivered = (
+            f"{unit} ({in_user_units(report.machines[stage])})" for stage in ("before", "after")
+        )
     before, after = (number(errors[stage], DIVERGES) for stage in ("before", "after"))
     declared, refitted = errors["declared"], errors["before"]
     if declared is not None and refitted is not None and declared < _CLEARLY_BETTER * refitted:
@@ -125,34 +133,38 @@ def _verdict_sentence(report: Report) -> str:
     if report.verdict == "effect_found":
         change = "rises" if (errors["after"] or 0.0) > (refitted or np.inf) else "falls"  # None: it diverges
         pronoun = "it" if len(report.effects) == 1 else "them"
+        remainder = _remainder(report)
         found = (
             f"{found_effects(report)}. With {pronoun}, the error on the held-out runs "
-            f"{change} from {before} to {after} {unit}.{_remainder(report)}"
+            f"{change} from {before} to {after} {unit if remainder else of_delivered}.{remainder}"
         )
-        return " ".join(
-            [*remainder_in_words(report), found, *hidden_effects(report), *unfinished_search(report)]
-        )
+        left = remainder_in_words(report, error=drifts(report) and not remainder)
+        return " ".join([found, *left, *hidden_effects(report), *unfinished_search(report)])
     if report.verdict == "no_effect":
         remainder = _remainder(report)
         start = (
             f"No effect {'was found' if remainder else 'is missing'}: "
             "with refitted parameters, the error of the"
         )
-        found = f"{start} declared model on the held-out runs is {before} {unit}.{remainder}"
-        why = hidden_effects(report) if remainder else remainder_in_words(report)
-        return " ".join([found, *why, *unfinished_search(report)])
+        found = (
+            f"{start} declared model on the held-out runs is {before} "
+            f"{unit if remainder else of_refitted}.{remainder}"
+        )
+        left = remainder_in_words(report, error=drifts(report) and not remainder)
+        hidden = hidden_effects(report) if remainder else []
+        return " ".join([found, *left, *hidden, *unfinished_search(report)])
     text = (
-        f"The error of the refitted model on the held-out runs is {before} {unit}, "
+        f"The error of the refitted model on the held-out runs is {before} {of_refitted}, "
         "and no known effect explains it."
     )
     if report.plain and report.plain.delivered:
-        text += f" A plain fit of inertia and friction leaves {after} {unit}, and is delivered."
+        text += f" A plain fit of inertia and friction leaves {after} {of_delivered}, and is delivered."
     elif not report.effects and "after" in compared_machines(report):
-        text += f" The machine that is delivered leaves {after} {unit}, but names no cause."
+        text += f" The machine that is delivered leaves {after} {of_delivered}, but names no cause."
     why = [f"Why no other verdict is given: {report.reason}."] if report.reason else []
     parts = [
         text,
-        *remainder_in_words(report),
+        *remainder_in_words(report, error=drifts(report)),
         *why,
         *dependence_sentences(report),
         *nearest_effects(report),
@@ -207,14 +219,21 @@ def _with_size(entry: Considered) -> str:
 def unfinished_search(report: Report) -> list[str]:
     """Return a sentence that says why the search ended early; none if it is complete."""
     unfinished = report.unfinished
-    return [f"The search is not complete: {unfinished.reason} ({unfinished.stage})."] if unfinished else []
+    if unfinished is None:
+        return []
+    return [
+        f"The search is not complete: {unfinished.reason} ({unfinished.stage}); "
+        "what would have followed was not tried. A larger --budget continues."
+    ]
 
 
 def _remainder(report: Report) -> str:
     """Return a sentence about the error that the machine of the verdict leaves; "" if that is noise."""
     if not (why := cause_of_remainder(report)):
         return ""
-    error = f"{number(report.left)} times the sensors' noise ({largest_position_error(report.after)})"
+    error = in_user_units(report.after)
+    if drifts(report):  # then the verdict does not state the multiple of the noise
+        error = f"{number(report.left)} times the sensors' noise ({error})"
     return f" An error of {error} is left{why}"
 
 

@@ -352,4 +352,4 @@ def test_unknown_voltages_explain_the_error_of_an_exact_machine() -> None:
     assert result.left is not None
     assert result.left > 2.0  # times the noise
     assert "the unknown voltages between the rows may cause" in reason_of_remainder(result.as_report())
-    assert "what changes the motion by less cannot be found" in verdict_sentence(result.as_report())
+    assert "even the exact machine is therefore expected to err by" in verdict_sentence(result.as_report())

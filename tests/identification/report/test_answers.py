@@ -33,8 +33,11 @@ def test_a_multiple_of_the_noise_over_all_channels_is_not_stated_as_that_of_one(
         held_out = {c: errors[c] for c in channels}
         return verdict_sentence(report_with(held_out, verdict="no_effect", left=1.0))
 
-    assert "20 µm rms at x_m; over all channels 1 times the sensors' noise; 0.5 %" in sentence(("x_m", "y_m"))
-    assert "20 µm rms at x_m, 1 times the sensors' noise; 0.5 %" in sentence(("x_m",))
+    both, one = sentence(("x_m", "y_m")), sentence(("x_m",))
+    assert "is 1 times the sensors' noise (at most 20 µm rms at x_m). Left" in both
+    assert both.endswith("Left on the held-out runs: 0.5 % of the motion of the channel where that is most.")
+    assert "is 1 times the sensors' noise (20 µm rms at x_m). Left" in one
+    assert one.endswith("Left on the held-out runs: 0.5 % of the motion.")
 
 
 def test_the_error_of_the_sentence_is_the_root_mean_square_over_the_channels() -> None:
@@ -43,7 +46,7 @@ def test_the_error_of_the_sentence_is_the_root_mean_square_over_the_channels() -
     }
     sentence = verdict_sentence(report_with(errors, verdict="no_effect", left=5.0))
     assert "error of the declared model on the held-out runs is 5 times the sensors' noise" in sentence
-    assert "An error of 5 times the sensors' noise (1 mm rms at x_m) is left" in sentence
+    assert "An error of at most 1 mm rms at x_m is left" in sentence
 
 
 @pytest.mark.parametrize(
@@ -115,7 +118,8 @@ def test_several_effects_are_separated_by_commas() -> None:
     )
     assert verdict_sentence(report) == (
         "The machine has 2 effects that its model lacks: cogging at motor1, belt play at belts. "
-        "With them, the error on the held-out runs falls from 50 to 1 times the sensors' noise."
+        "With them, the error on the held-out runs falls from 50 to 1 times the sensors' noise "
+        "(20 µm rms at x_m)."
     )
 
 
@@ -124,7 +128,8 @@ def test_several_effects_are_separated_by_commas() -> None:
     [
         (
             {"x_m": 3.0, "phi": 3.0},
-            "; with the proposed formula (magnetic catch) in place of the table, it is 3 times.",
+            "; with the proposed formula (magnetic catch) in place of the table, "
+            "it is 3 times the sensors' noise.",
         ),
         ({"x_m": 4.9, "phi": 4.9}, ". A table has straight pieces and names no cause."),
         ({}, ". A table has straight pieces and names no cause."),  # the formula was not compared
@@ -156,7 +161,7 @@ def test_what_a_table_leaves_is_compared_with_the_formula(held_out: dict[str, fl
         proposed_formulas=[table],
     )
     sentence = verdict_sentence(report)
-    assert sentence.endswith(f" An error of 5 times the sensors' noise (20 µm rms at x_m) is left{last}")
+    assert sentence.endswith(f" An error of 20 µm rms at x_m is left{last}")
 
 
 def test_a_refit_that_worsens_the_simulation_is_compared_with_the_declared_machine() -> None:
@@ -178,7 +183,9 @@ def test_the_force_is_stated_only_if_the_simulation_drifts(percent: float, unit:
     sentence = verdict_sentence(
         report_with(errors, left=600.0, plain={"held_out": errors, "delivered": True})
     )
-    assert f"{unit}, and no known effect explains it. A plain fit of inertia and friction leaves" in sentence
+    size = "" if "force" in unit else " (1 mm rms at x_m)"
+    assert f"{unit}{size}, and no known effect explains it. A plain fit of inertia and friction" in sentence
+    assert f"{unit}{size}, and is delivered." in sentence
 
 
 @pytest.mark.parametrize(("left", "stated"), [(15.0, True), (165.0, False)])
@@ -188,7 +195,7 @@ def test_the_error_of_a_machine_that_describes_without_a_name_is_stated(left: fl
     )
     sentence = verdict_sentence(report_with(before=before, after=after, left=left))
     assert "The error of the refitted model on the held-out runs is 165 times" in sentence
-    delivered = "The machine that is delivered leaves 15 times the sensors' noise, but names no cause."
+    delivered = "leaves 15 times the sensors' noise (150 µm rms at x_m), but names no cause."
     assert (delivered in sentence) == stated
 
 
@@ -227,7 +234,8 @@ def test_what_is_left_is_stated_also_if_errors_are_those_of_the_force(verdict: s
 
 
 @pytest.mark.parametrize(
-    ("others", "last"), [(None, ""), (1.02, " On the other held-out runs, it is 1.02 times.")]
+    ("others", "last"),
+    [(None, ""), (1.02, " On the other held-out runs, it is 1.02 times the sensors' noise.")],
 )
 @pytest.mark.parametrize("runs", [["run_4"], ["run_4", "run_8"]])
 def test_an_error_of_a_run_that_contradicts_the_others_has_a_known_cause(
@@ -244,8 +252,7 @@ def test_an_error_of_a_run_that_contradicts_the_others_has_a_known_cause(
     subject = "run_4 contradicts" if len(runs) == 1 else "run_4 and run_8 contradict"
     assert sentence.startswith("No effect was found")
     assert sentence.endswith(
-        " An error of 900 times the sensors' noise (20 mm rms at x_m) "
-        f"is left, because {subject} the fitted runs (see the warnings).{last}"
+        f" An error of 20 mm rms at x_m is left, because {subject} the fitted runs (see the warnings).{last}"
     )
 
 
@@ -335,9 +342,10 @@ def test_a_slow_log_is_named_first() -> None:
         "even the exact machine is therefore expected to err by 30 µm at x_m and 2 mrad at phi1_rad"
         in sentence
     )
-    assert "estimate is too large" not in sentence
+    assert "cannot be found" in sentence
     too_large = sentence_about(unknown | {"errors": {"x_m": 2e-3}})
-    assert "The machine that is delivered leaves only 1 mm at x_m: this estimate is too large." in too_large
+    assert "2 mm at x_m (rms); the machine that is delivered leaves only 1 mm at x_m, so that" in too_large
+    assert "cannot be found" not in too_large
     assert "log every row of the controller" in sentence
     assert "two rows" not in sentence_about(None)
     assert "describe the drives by their set point" in sentence

@@ -280,7 +280,7 @@ def test_an_unexplained_error_is_stated_in_the_users_terms_with_a_hint(data: Dat
         "lacks on x depends most on current of motor, which explains 62 % of its variance.",
         "The nearest effects of the library, which are no causes: current_limit@motor, load_friction@motor.",
         "The search is not complete: the budget of 60 s of processor time "
-        "ended (trial fit 2 of 5: cogging@motor).",
+        "ended (trial fit 2 of 5: cogging@motor); what would have followed was not tried. A larger --budget",
         "2.1 % of motion",
     ):
         assert text in page, text
