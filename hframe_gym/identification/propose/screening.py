@@ -220,9 +220,12 @@ class Screening:
         # The ridge keeps the elimination possible where parameters have the same influence on the
         # measurements.
         precision = prior_precision(free) + np.diag(_RIDGE * np.diag(equations.information))
-        limited = self._limited(equations, free, precision)
+        names = {f.name for f in free}
+        theta = self.fit.theta[[f.name in names for f in self.fit.free]]
+        limited = LimitedResidual.where_in_the_way(equations, precision, free, theta)
         if limited is not None:
-            scored = [limited.score(candidate, columns) for candidate, columns in self._with_columns(0)]
+            chi2 = self.fit.chi2
+            scored = [_limited_score(limited, c, columns, chi2) for c, columns in self._with_columns(0)]
             return sorted(scored, key=lambda s: -s.gain), limited.least_cost
         reduced, scored = equations.eliminate_parameters(precision), []
         for candidate, columns in self._with_columns(0):
@@ -232,24 +235,6 @@ class Screening:
             gradient = reduced.response_gradient[columns]
             scored.append(_score(candidate, information, gradient, before, self.fit.chi2))
         return sorted(scored, key=lambda s: -s.gain), equations.least_cost(precision)
-
-    def _limited(
-        self, equations: NormalEquations, free: Sequence[FreeParameter], precision: Array
-    ) -> _Limited | None:
-        """Return the linearized residual with the free parameters' limits; None if none is in the way.
-
-        Without limits, a parameter that is at one would go on beyond it, and take what a candidate explains:
-        a back-EMF of 0, for example, what a bridge does that lets its motor coast.
-        """
-        if not equations.finite:
-            return None
-        names = {f.name for f in free}
-        theta = self.fit.theta[[f.name in names for f in self.fit.free]]
-        low, high = limits_of_theta(free)
-        step = -np.linalg.solve(equations.information + precision, equations.gradient)
-        if np.all((low <= theta + step) & (theta + step <= high)):
-            return None
-        return _Limited(equations, precision, low - theta, high - theta, self.fit.chi2)
 
     def _free_without(self, label: str) -> tuple[FreeParameter, ...]:
         """Return the free parameters without those of an effect."""
@@ -271,8 +256,11 @@ class Screening:
             first += len(candidate.columns)
 
 
-class _Limited:
+class LimitedResidual:
     """Linearized residual of a fit whose parameters would leave their limits to reduce it.
+
+    Without limits, a parameter that is at one would go on beyond it, and take what a candidate explains: a
+    back-EMF of 0, for example, what a bridge does that lets its motor coast.
 
     Args:
         equations: Normal equations with k free parameters; the basis functions of candidates are the
@@ -280,55 +268,107 @@ class _Limited:
         precision: Inverse covariance of the parameters' prior, dimensionless, shape (k, k).
         low: Smallest permitted changes of theta, dimensionless, shape (k,).
         high: Largest permitted changes.
-        chi2: Chi-squared per sample of the fit, in whose units tables are required to be smooth.
 
     Attributes:
         least_cost: Cost with the best parameters within their limits, dimensionless.
     """
 
-    def __init__(
-        self, equations: NormalEquations, precision: Array, low: Array, high: Array, chi2: float
-    ) -> None:
-        self._equations, self._hessian, self._chi2 = equations, equations.information + precision, chi2
+    def __init__(self, equations: NormalEquations, precision: Array, low: Array, high: Array) -> None:
+        self._equations, self._hessian = equations, equations.information + precision
         self._low, self._high = low, high
         step = minimum_within(self._hessian, equations.gradient, low, high)
         self.least_cost, self._least = equations.cost_after(step), self._change(equations.gradient, step)
+
+    @classmethod
+    def where_in_the_way(
+        cls, equations: NormalEquations, precision: Array, free: Sequence[FreeParameter], theta: Array
+    ) -> LimitedResidual | None:
+        """Return the linearized residual with the free parameters' limits; None if none is in the way.
+
+        Args:
+            equations: Normal equations with k free parameters at theta, shape (k,).
+            precision: Inverse covariance of the parameters' prior, dimensionless, shape (k, k).
+        """
+        if not equations.finite:
+            return None
+        low, high = limits_of_theta(free)
+        step = -np.linalg.solve(equations.information + precision, equations.gradient)
+        if np.all((low <= theta + step) & (theta + step <= high)):
+            return None
+        return cls(equations, precision, low - theta, high - theta)
 
     def _change(self, gradient: Array, step: Array) -> float:
         """Return the change of the cost, with the prior's penalty, by a change of theta of shape (k,)."""
         return float(2.0 * step @ gradient + step @ self._hessian @ step)
 
-    def score(self, candidate: Candidate, columns: NDArray[np.intp]) -> ScoredCandidate:
-        """Return a candidate with the cost reduction by its best amounts, all parameters within limits.
+    def gain_of(self, column: int) -> float:
+        """Return the reduction of the cost by one response as it is, all parameters within limits."""
+        equations = self._equations
+        of_parameters = equations.gradient + equations.cross_products[:, column]
+        step = minimum_within(self._hessian, of_parameters, self._low, self._high)
+        square = float(equations.response_information[column, column])
+        change = 2.0 * float(equations.response_gradient[column]) + square
+        return self._least - change - self._change(of_parameters, step)
+
+    def gain_of_positive(self, column: int) -> float:
+        """Return the reduction of the cost by the best positive amount of one response; 0 if it has none."""
+        columns = np.array([column])
+        information = self.information(columns)
+        if not information[0, 0] > 0.0 or not self.finite(columns):
+            return 0.0
+        _, gain = self.best_amounts(columns, _RIDGE * information, np.zeros(1), np.full(1, np.inf))
+        return max(gain, 0.0)
+
+    def best_amounts(
+        self, columns: NDArray[np.intp], ridge: Array, low: Array, high: Array
+    ) -> tuple[Array, float]:
+        """Return the amounts of b responses that reduce the cost most, shape (b,), and by how much.
 
         Args:
-            candidate: Candidate of b basis functions.
-            columns: Their indices among the responses, shape (b,).
+            columns: Indices of the responses, shape (b,).
+            ridge: Added to their products, dimensionless, shape (b, b).
+            low: Smallest amounts, shape (b,).
+            high: Largest amounts.
         """
         cross = self._equations.cross_products[:, columns]
-        information = self._equations.response_information[np.ix_(columns, columns)]
-        gradient = self._equations.response_gradient[columns]
-        if not np.all(np.isfinite(information)) or not np.all(np.isfinite(cross)):
-            return ScoredCandidate(candidate, 0.0, (0.0,) * len(columns))
-        if candidate.has_no_amplitude:
-            amounts: Array = np.ones(1)
-            of_parameters = self._equations.gradient + cross[:, 0]
-            step = minimum_within(self._hessian, of_parameters, self._low, self._high)
-            change = float(2.0 * gradient[0] + information[0, 0]) + self._change(of_parameters, step)
-        else:
-            k = len(self._low)
-            low, high = _limits_of_amounts(candidate)
-            both = np.block(
-                [[self._hessian, cross], [cross.T, information + _ridge(candidate, information, self._chi2)]]
-            )
-            slope = np.concatenate([self._equations.gradient, gradient])
-            limits = np.concatenate([self._low, low]), np.concatenate([self._high, high])
-            step = minimum_within(both, slope, *limits)
-            amounts, change = step[k:], float(2.0 * step @ slope + step @ both @ step)
-        gain = self._least - change
-        if not gain > 0.0:
-            return ScoredCandidate(candidate, 0.0, (0.0,) * len(columns))
-        return ScoredCandidate(candidate, gain, tuple(amounts.tolist()))
+        information = self.information(columns)
+        both = np.block([[self._hessian, cross], [cross.T, information + ridge]])
+        slope = np.concatenate([self._equations.gradient, self._equations.response_gradient[columns]])
+        limits = np.concatenate([self._low, low]), np.concatenate([self._high, high])
+        step = minimum_within(both, slope, *limits)
+        return step[len(self._low) :], self._least - float(2.0 * step @ slope + step @ both @ step)
+
+    def information(self, columns: NDArray[np.intp]) -> Array:
+        """Return the products of b responses, shape (b, b)."""
+        return self._equations.response_information[np.ix_(columns, columns)]
+
+    def finite(self, columns: NDArray[np.intp]) -> bool:
+        """Return whether responses are finite; they are not where their simulation diverges."""
+        cross = self._equations.cross_products[:, columns]
+        return bool(np.isfinite(self.information(columns)).all() and np.isfinite(cross).all())
+
+
+def _limited_score(
+    limited: LimitedResidual, candidate: Candidate, columns: NDArray[np.intp], chi2: float
+) -> ScoredCandidate:
+    """Return a candidate with the cost reduction by its best amounts, all parameters within limits.
+
+    Args:
+        limited: Linearized residual; the candidate's b basis functions are among its responses.
+        columns: Their indices, shape (b,).
+        chi2: Chi-squared per sample of the fit, in whose units tables are required to be smooth.
+    """
+    nothing = ScoredCandidate(candidate, 0.0, (0.0,) * len(columns))
+    if not limited.finite(columns):
+        return nothing
+    if candidate.has_no_amplitude:
+        amounts, gain = np.ones(1), limited.gain_of(int(columns[0]))
+    else:
+        information = limited.information(columns)
+        amounts, gain = limited.best_amounts(
+            columns, _ridge(candidate, information, chi2), *_limits_of_amounts(candidate)
+        )
+    return ScoredCandidate(candidate, gain, tuple(amounts.tolist())) if gain > 0.0 else nothing
 
 
 def _needs(candidate: Candidate, label: str) -> bool:

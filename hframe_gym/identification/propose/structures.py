@@ -22,7 +22,7 @@ from ..budget import spender
 from ..fit.estimation import Fit
 from ..predict.free_parameters import prior_precision
 from ..predict.prediction import predict
-from .screening import screening_model
+from .screening import LimitedResidual, screening_model
 from .typical_scales import TypicalScales
 
 _FITTED_STRUCTURES = 3  # effects that replace a part of the model and are fitted
@@ -99,8 +99,8 @@ def _structure_gains(
 ) -> dict[tuple[Effect, str], Array]:
     """Return the linearized reduction of cost to each variant, shape (variants,) for each effect and site.
 
-    The difference of the two predictions, without the part that the free parameters can reproduce, is
-    multiplied by its best positive weight.
+    The difference of the two predictions, without the part that the free parameters can reproduce within
+    their limits, is multiplied by its best positive weight.
     """
     if not simulated:
         return {}
@@ -120,9 +120,14 @@ def _structure_gains(
         return np.where(np.isfinite(changes).all(axis=1, keepdims=True), changes, 0.0)
 
     equations = model.linearize(current.theta, responses).normal_equations
-    reduced = equations.eliminate_parameters(prior_precision(current.free))
-    squares, gradient = np.diag(reduced.response_information), reduced.response_gradient
-    gains = np.where(gradient < 0.0, gradient**2 / np.maximum(squares, 1e-300), 0.0)
+    precision = prior_precision(current.free)
+    limited = LimitedResidual.where_in_the_way(equations, precision, current.free, current.theta)
+    if limited is not None:
+        gains = np.array([limited.gain_of_positive(k) for k in range(len(equations.response_gradient))])
+    else:
+        reduced = equations.eliminate_parameters(precision)
+        squares, gradient = np.diag(reduced.response_information), reduced.response_gradient
+        gains = np.where(gradient < 0.0, gradient**2 / np.maximum(squares, 1e-300), 0.0)
     ends = np.cumsum([len(variants) for variants in simulated.values()])
     return dict(zip(simulated, np.split(np.where(np.isfinite(gains), gains, 0.0), ends[:-1]), strict=True))
 

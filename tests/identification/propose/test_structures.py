@@ -26,6 +26,17 @@ def test_a_clock_whose_rate_changes_ranks_first(axis: Machine) -> None:
     assert best.effects[-1].parameters["a"] > 0.0
 
 
+def test_a_parameter_at_its_limit_takes_nothing_from_an_effect(axis: Machine) -> None:
+    """A load swings; beyond its limit, the declared motor constant would take half of what it explains."""
+    swing = EFFECTS["payload_swing"].at("x", f0=3.0, zeta=0.02, r=0.3)
+    declared = axis.replace({"x.viscous": 0.1, "x.coulomb": 0.02})
+    data = prepare([recorded(axis.with_effects(swing))], declared)
+    current = fit(declared, default_free_parameters(declared), data, SEARCH_BANDWIDTH)
+    assert any(f.at_limit(t) for f, t in zip(current.free, current.theta, strict=True))
+    best, *_ = screen_structures(current, data, typical_scales(current, data), 0.25 * current.chi2)
+    assert best.effects[-1].label == "payload_swing@x"
+
+
 def test_which_effects_replace_a_part_of_the_model() -> None:
     replacing = {name for name, effect in EFFECTS.items() if effect.replaces_model_part}
     assert replacing == {
