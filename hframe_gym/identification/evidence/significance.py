@@ -20,6 +20,7 @@ from ..fit.estimation import Fit
 from ..fit.long_run_variance import long_run_variance
 from ..fit.model_error import continue_fit, fit_with_model_error, has_narrowest_observer, narrower_observer
 from ..fit.slow_logs import fit_by_instruments
+from ..fit.start_estimation import refine_dataset
 from ..forces.force_sizes import drive_force, effect_force, force_difference, residue_force
 from ..forces.missing_force import follow_runs, sensor_combinations
 from ..judge import effect as judge
@@ -230,8 +231,9 @@ def _disagreement_of_sensors(
     combined = combinations.any(axis=1)
 
     def squares(machine: Machine) -> float:
-        total = 0.0
-        for run, followed in zip(data.runs, follow_runs(machine, data), strict=True):
+        # With its own zeros of the encoders: an error of a laser changes where the runs start.
+        total, refined = 0.0, refine_dataset(data, machine)
+        for run, followed in zip(refined.runs, follow_runs(machine, refined), strict=True):
             complete = np.isfinite(run.outputs[:, combined]).all(axis=1)
             total += float(np.sum((followed.innovation[complete] @ combinations) ** 2))
         return total

@@ -18,7 +18,7 @@ from hframe_gym.identification.evidence.significance import (
     effect_evidence,
 )
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
-from hframe_gym.machine import AppliedEffect
+from hframe_gym.machine import AppliedEffect, rest_state
 from hframe_gym.recordings import Recording
 from tests.identification.scripted_fits import (
     AXIS,
@@ -101,3 +101,24 @@ def test_an_error_of_a_laser_explains_what_encoders_say_otherwise(hidden: Applie
     assert measured is not None
     assert (measured().with_effect < measured().without) == agree
     assert significance._disagreement_of_sensors(without, with_skew, PUSH, data) is None
+
+
+def test_where_runs_start_follows_from_an_error_of_a_laser() -> None:
+    """Belts rest stretched, as the encoders show; their zeros follow from the lasers with this error."""
+    skew, rng = EFFECTS["sensor_skew"].at("y_m", a=3e-4), np.random.default_rng(0)
+    time_s = np.arange(600) * 1e-3
+    inputs = np.where(
+        time_s[:, None] > 0.1, 5.0 * np.sin(2 * np.pi * np.outer(time_s - 0.1, [1.3, 1.7])), 0.0
+    )
+    runs = []
+    for k, x in enumerate((-0.2, 0.0, 0.2)):
+        start = rest_state(HFRAME, (x, 0.1 * x))
+        start[2:4] += rng.normal(0.0, 0.02, 2)
+        motion = simulate(HFRAME.with_effects(skew), time_s, inputs, start).outputs
+        noise = rng.normal(0.0, 1.0, motion.shape) * [1e-4, 1e-4, 1e-5, 1e-5]
+        runs.append(Recording(f"run_{k}", time_s, inputs, motion + noise))
+    data = prepare(runs, HFRAME)
+    without, with_skew = (SimpleNamespace(machine=m) for m in (HFRAME, HFRAME.with_effects(skew)))
+    measured = significance._disagreement_of_sensors(without, with_skew, skew, data)
+    assert measured is not None
+    assert measured().with_effect < 0.9 * measured().without
