@@ -286,8 +286,10 @@ class LimitedResidual:
         """Return the linearized residual with the free parameters' limits; None if none is in the way.
 
         Args:
-            equations: Normal equations with k free parameters at theta, shape (k,).
+            equations: Normal equations with k free parameters.
             precision: Inverse covariance of the parameters' prior, dimensionless, shape (k, k).
+            free: These parameters.
+            theta: Their values in the fit, dimensionless, shape (k,).
         """
         if not equations.finite:
             return None
@@ -302,7 +304,7 @@ class LimitedResidual:
         return float(2.0 * step @ gradient + step @ self._hessian @ step)
 
     def gain_of(self, column: int) -> float:
-        """Return the reduction of the cost by one response as it is, all parameters within limits."""
+        """Return the reduction of the cost, dimensionless, by one response as it is."""
         equations = self._equations
         of_parameters = equations.gradient + equations.cross_products[:, column]
         step = minimum_within(self._hessian, of_parameters, self._low, self._high)
@@ -311,7 +313,7 @@ class LimitedResidual:
         return self._least - change - self._change(of_parameters, step)
 
     def gain_of_positive(self, column: int) -> float:
-        """Return the reduction of the cost by the best positive amount of one response; 0 if it has none."""
+        """Return the reduction of the cost, dimensionless, by the best positive amount of one response."""
         columns = np.array([column])
         information = self.information(columns)
         if not information[0, 0] > 0.0 or not self.finite(columns):
@@ -327,8 +329,8 @@ class LimitedResidual:
         Args:
             columns: Indices of the responses, shape (b,).
             ridge: Added to their products, dimensionless, shape (b, b).
-            low: Smallest amounts, shape (b,).
-            high: Largest amounts.
+            low: Smallest amounts, dimensionless, shape (b,).
+            high: Largest amounts, dimensionless, shape (b,).
         """
         cross = self._equations.cross_products[:, columns]
         information = self.information(columns)
@@ -339,11 +341,19 @@ class LimitedResidual:
         return step[len(self._low) :], self._least - float(2.0 * step @ slope + step @ both @ step)
 
     def information(self, columns: NDArray[np.intp]) -> Array:
-        """Return the products of b responses, shape (b, b)."""
+        """Return the products of b responses, dimensionless, shape (b, b).
+
+        Args:
+            columns: Indices of the responses, shape (b,).
+        """
         return self._equations.response_information[np.ix_(columns, columns)]
 
     def finite(self, columns: NDArray[np.intp]) -> bool:
-        """Return whether responses are finite; they are not where their simulation diverges."""
+        """Return whether responses are finite; they are not where their simulation diverges.
+
+        Args:
+            columns: Indices of the responses, shape (b,).
+        """
         cross = self._equations.cross_products[:, columns]
         return bool(np.isfinite(self.information(columns)).all() and np.isfinite(cross).all())
 
