@@ -12,7 +12,7 @@ from ..arrays import Array
 from ..errors import merge_run_warnings
 from ..line_log import LineLog
 from ..machine import Machine
-from ..recordings import Recording, fill_gaps
+from ..recordings import Recording, fill_gaps, shared_wraps, without_shared_wraps
 from .clock_jitter import clock_jitter, noise_by_row
 from .clock_voltages import clock_voltages
 from .criteria import SaturationCriteria
@@ -40,7 +40,8 @@ class Session(NamedTuple):
     Attributes:
         machine: Machine as declared, but with the directions of the drives that the runs show, and without
             sensors of positions if no run measures any.
-        recordings: The runs as logged, from their first measurement on if they do not begin at rest.
+        recordings: The runs as logged, from their first measurement on if they do not begin at rest, and
+            unwrapped where only other runs tell how a sensor wraps.
         usable: The same without measurements that are not usable, but with those at the end of a sensor's
             range.
         data: The runs prepared for a fit, without these.
@@ -70,6 +71,10 @@ def prepare_session(
     recordings, machine, statements = without_unmeasured_positions(recordings, machine)
     for statement in statements:
         log(statement)
+    for (run, channel), wrap in shared_wraps(recordings, machine).items():
+        unit = machine.sensor_unit(machine.sensor(channel))
+        log(f"{run}: {channel} {wrap.describe(unit)}, as in other runs")
+    recordings = without_shared_wraps(recordings, machine)
     begun = [from_first_measurement(recording, machine) for recording in recordings]
     for before, after in zip(recordings, begun, strict=True):
         if after is not before:

@@ -68,7 +68,18 @@ from .templates import (
     template_questions,
     write_machine_template,
 )
-from .wrapping import Wrap, find_wrap, known_moduli, unwrapped, without_wraps, wraps_of
+from .wrapping import (
+    Wrap,
+    find_wrap,
+    jumps_between_ends,
+    known_moduli,
+    shared_wraps,
+    switching_rows,
+    unwrapped,
+    without_shared_wraps,
+    without_wraps,
+    wraps_of,
+)
 
 __all__ = [
     "GAP_PERIODS",
@@ -102,6 +113,7 @@ __all__ = [
     "find_wrap",
     "implausible_values",
     "import_logs",
+    "jumps_between_ends",
     "known_moduli",
     "load_machine",
     "load_recording",
@@ -127,12 +139,15 @@ __all__ = [
     "run_name",
     "run_of",
     "save_machine",
+    "shared_wraps",
     "split_unit",
+    "switching_rows",
     "template_questions",
     "unwrapped",
     "usual_step",
     "without_outliers",
     "without_repetitions",
+    "without_shared_wraps",
     "without_silences",
     "without_wraps",
     "wraps_of",

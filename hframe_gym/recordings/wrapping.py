@@ -3,14 +3,15 @@
 An absolute encoder measures an angle within one turn, and a counter of n bits counts modulo 2^n. When the
 motion passes the end, the measurement jumps by the modulus against the direction of the motion, and the
 motion continues at the other end. All measurements then lie within one modulus. Both together distinguish a
-wrap from an outlier and from a step.
+wrap from an outlier and from a step. A potentiometer has a dead angle between its ends: its output needs more
+than one sample to change from one end to the other, and may rest at an end meanwhile.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -34,6 +35,10 @@ _NEIGHBORS = 4  # regular changes on each side of a jump, from which the motion 
 _TOLERANCE = 0.01
 # Fraction of the jumps that must have the size of the modulus and the opposite sign of the motion.
 _AGREEING = 0.9
+# Times the usual number of rows between two changes; a longer rest at an end next to most jumps is a dead
+# angle. An encoder stays as long at its end as at any other value.
+_DEAD = 5.0
+_END = 0.1  # fraction of the range of the values from its end that is the end
 _BITS = (8, 10, *range(12, 25), 32)  # of counters and absolute encoders in use
 _TURNS = {2 * math.pi: "one turn", 360.0: "one turn in degrees", 1.0: "one turn in turns"}
 _COUNTS_PER_TURN = (
@@ -48,16 +53,25 @@ class Wrap(NamedTuple):
     Attributes:
         modulus: Size of the jumps, in the unit of the values.
         name: What the modulus is, such as "one turn" or "a counter of 16 bits".
+        jumps: Number of jumps.
+        lost: Number of measurements that belong to no angle, see `lost_rows`.
     """
 
     modulus: float
     name: str
     jumps: int
+    lost: int = 0
 
     def describe(self, unit: str) -> str:
         """Describe the wrap in a clause: "wraps 13 times at one turn (6.28319 rad) and is unwrapped"."""
         times = "once" if self.jumps == 1 else f"{self.jumps} times"
-        return f"wraps {times} at {self.name} ({self.modulus:.6g} {unit}) and is unwrapped"
+        clause = f"wraps {times} at {self.name} ({self.modulus:.6g} {unit}) and is unwrapped"
+        return f"{clause}; {self.describe_lost()}" if self.lost else clause
+
+    def describe_lost(self) -> str:
+        """Describe the measurements that belong to no angle in a clause."""
+        rows = f"{self.lost} rows in which" if self.lost > 1 else "one row in which"
+        return f"{rows} it switches between its ends or rests in its dead angle count as not measured"
 
 
 def known_moduli(quantum: float, *, angle: bool) -> dict[float, str]:
@@ -93,7 +107,7 @@ def find_wrap(values: Array, moduli: Mapping[float, str]) -> Wrap | None:
         the values extend over more than one modulus, or if the motion is so fast that its direction at a jump
         is ambiguous.
     """
-    measured = values[np.isfinite(values)]
+    measured = values[np.isfinite(values) & ~switching_rows(values)]
     changes = np.diff(measured)
     changes = changes[changes != 0.0]  # repeated values do not matter
     extent = float(np.ptp(measured)) if len(measured) else 0.0
@@ -111,7 +125,7 @@ def find_wrap(values: Array, moduli: Mapping[float, str]) -> Wrap | None:
         return None
     if extent > (1.0 + _TOLERANCE) * modulus + smallest:
         return None
-    return Wrap(modulus, moduli[modulus], len(jumps))
+    return Wrap(modulus, moduli[modulus], len(jumps), int(np.count_nonzero(lost_rows(values))))
 
 
 def _motion_around(changes: Array, jump: int, extent: float) -> float:
@@ -120,6 +134,62 @@ def _motion_around(changes: Array, jump: int, extent: float) -> float:
     regular = near[np.abs(near) <= _JUMP * extent]
     moves = len(regular) >= _NEIGHBORS and abs(int(np.sign(regular).sum())) == len(regular)
     return float(np.median(regular)) if moves else 0.0
+
+
+def switching_rows(values: Array) -> NDArray[np.bool_]:
+    """Return the rows in which a value was measured on its way from one end of the range to the other.
+
+    Such a value lies between the one before and the one after it, which are more than half of the range
+    apart, and it is farther away from both than regular changes are large.
+
+    Args:
+        values: Values of one channel, NaN where not measured, shape (n,).
+
+    Returns:
+        Rows whose value belongs to no angle if the values wrap, shape (n,).
+    """
+    switching = np.zeros(len(values), np.bool_)
+    measured = np.flatnonzero(np.isfinite(values))
+    changes = np.diff(values[measured])
+    size = np.abs(changes)
+    jump = _JUMP * float(np.ptp(values[measured])) if len(measured) else 0.0
+    regular = size[(size > 0.0) & (size <= jump)]
+    if len(regular) < _MIN_VALUES:
+        return switching
+    fast = float(np.percentile(regular, _FAST_PERCENT))
+    between = (changes[:-1] * changes[1:] > 0.0) & (np.minimum(size[:-1], size[1:]) > fast)
+    switching[measured[1:-1]] = between & (size[:-1] + size[1:] > jump)
+    return switching
+
+
+def lost_rows(values: Array) -> NDArray[np.bool_]:
+    """Return the rows in which values that wrap belong to no angle.
+
+    They were measured on the way from one end to the other (`switching_rows`), or while the sensor rested at
+    an end next to a jump, in a dead angle: next to nearly all jumps, the value stays the same for several
+    times as long as usual.
+
+    Args:
+        values: Values of one channel that wraps, NaN where not measured, shape (n,).
+
+    Returns:
+        Rows, shape (n,).
+    """
+    lost = switching_rows(values)
+    measured = np.flatnonzero(np.isfinite(values) & ~lost)
+    changes = np.diff(values[measured])
+    ends = np.append(np.flatnonzero(changes), len(changes))  # last row of each stretch of equal values
+    if len(ends) < 2:
+        return lost
+    lengths = np.diff(ends, prepend=-1)
+    usual = float(np.median(lengths))
+    jumps = np.flatnonzero(np.abs(changes[ends[:-1]]) > _JUMP * float(np.ptp(values[measured])))
+    resting = [k for jump in jumps for k in (jump, jump + 1) if lengths[k] > _DEAD * usual]
+    beside = sum(any(k in (jump, jump + 1) for k in resting) for jump in jumps)
+    if len(jumps) > 1 and beside >= _AGREEING * len(jumps):
+        for k in resting:
+            lost[measured[ends[k] + 1 - lengths[k] : ends[k] + 1]] = True
+    return lost
 
 
 def unwrapped(values: Array, modulus: float, time_s: Times) -> Array:
@@ -133,10 +203,11 @@ def unwrapped(values: Array, modulus: float, time_s: Times) -> Array:
         modulus: Size of the jumps, in the unit of the values.
 
     Returns:
-        Copy that begins with the same value and has no jumps, NaN where the values are, shape (n,).
+        Copy that begins with the same value and has no jumps, NaN where the values are and in the rows
+        that belong to no angle (`lost_rows`), shape (n,).
     """
-    result = values.copy()
-    measured = np.isfinite(values)
+    result = np.where(lost_rows(values), np.nan, values)
+    measured = np.isfinite(result)
     changes, steps = np.diff(values[measured]), np.diff(time_s[measured])
     if not len(changes):
         return result
@@ -169,7 +240,8 @@ def wraps_of(recording: Recording, machine: Machine) -> dict[str, Wrap]:
         if sensor.turn is not None:
             jumps = int(np.count_nonzero(np.abs(np.diff(values[np.isfinite(values)])) > sensor.turn / 2))
             if jumps:
-                found[sensor.channel] = Wrap(sensor.turn, "one turn", jumps)
+                lost = int(np.count_nonzero(lost_rows(values)))
+                found[sensor.channel] = Wrap(sensor.turn, "one turn", jumps, lost)
             continue
         if not sensor.of_position:
             continue
@@ -178,6 +250,92 @@ def wraps_of(recording: Recording, machine: Machine) -> dict[str, Wrap]:
         if wrap is not None:
             found[sensor.channel] = wrap
     return found
+
+
+class EndJumps(NamedTuple):
+    """Jumps of a sensor from one end of its values to the other.
+
+    Attributes:
+        rows: Index of the first row after each jump, shape (jumps,).
+        before: Value before the first jump, in the sensor's unit.
+        after: Value after it.
+    """
+
+    rows: NDArray[np.int_]
+    before: float
+    after: float
+
+
+def jumps_between_ends(values: Array, low: float, high: float) -> EndJumps | None:
+    """Find jumps between the ends of a range, if a channel jumps only so and moves slowly otherwise.
+
+    An angle that begins anew jumps so, whatever the size of its turn, and so does a potentiometer that passes
+    its dead angle. An outlier returns at once, and a fast motion needs several rows.
+
+    Args:
+        values: Values of one channel in one run, NaN where not measured, shape (n,).
+        low: Lower end of the values in all runs, in the unit of the values.
+        high: Upper end.
+    """
+    extent = high - low
+    measured = np.flatnonzero(np.isfinite(values) & ~switching_rows(values))
+    kept = values[measured]
+    changes = np.diff(kept)
+    jumps = np.flatnonzero(np.abs(changes) > _JUMP * extent)
+    regular = changes[(np.abs(changes) <= _JUMP * extent) & (changes != 0.0)]
+    if len(jumps) == 0 or len(regular) < _MIN_VALUES or extent <= 0.0:
+        return None
+    if np.percentile(np.abs(regular), _FAST_PERCENT) > _FASTEST * _END * extent:
+        return None
+    if np.any(np.diff(jumps) < _NEIGHBORS):
+        return None
+    nearer = np.minimum(kept[jumps], kept[jumps + 1]) - low, high - np.maximum(kept[jumps], kept[jumps + 1])
+    if np.max(nearer) > _END * extent:
+        return None
+    return EndJumps(measured[jumps + 1], float(kept[jumps[0]]), float(kept[jumps[0] + 1]))
+
+
+def shared_wraps(recordings: Sequence[Recording], machine: Machine) -> dict[tuple[str, str], Wrap]:
+    """Find the channels that wrap in a run as in another one, but do not show it there by themselves.
+
+    A run with few jumps, or with an outlier beside them, does not tell the size of the turn. In another run
+    of the same sensor, it is known; jumps between the same ends are then wraps.
+
+    Returns:
+        Wraps by the name of the run and of the channel, in the sensors' units; none of those of `wraps_of`.
+    """
+    alone = [wraps_of(recording, machine) for recording in recordings]
+    shared = {}
+    for j, channel in enumerate(machine.output_channels):
+        known = [(r, w[channel]) for r, w in zip(recordings, alone, strict=True) if channel in w]
+        if not known or len({wrap.modulus for _, wrap in known}) > 1:
+            continue
+        low = min(float(np.nanmin(recording.outputs[:, j])) for recording, _ in known)
+        high = max(float(np.nanmax(recording.outputs[:, j])) for recording, _ in known)
+        margin = _TOLERANCE * known[0][1].modulus
+        for recording, wraps in zip(recordings, alone, strict=True):
+            values = recording.outputs[:, j]
+            jumps = None if channel in wraps else jumps_between_ends(values, low, high)
+            if jumps and np.nanmin(values) >= low - margin and np.nanmax(values) <= high + margin:
+                lost = int(np.count_nonzero(lost_rows(values)))
+                wrap = known[0][1]._replace(jumps=len(jumps.rows), lost=lost)
+                shared[recording.name, channel] = wrap
+    return shared
+
+
+def without_shared_wraps(recordings: Sequence[Recording], machine: Machine) -> list[Recording]:
+    """Copy the runs in which a sensor wraps as in others (`shared_wraps`), made continuous."""
+    shared = shared_wraps(recordings, machine)
+    result = []
+    for recording in recordings:
+        outputs = recording.outputs.copy()
+        for j, channel in enumerate(machine.output_channels):
+            if (recording.name, channel) in shared:
+                modulus = shared[recording.name, channel].modulus
+                outputs[:, j] = unwrapped(outputs[:, j], modulus, recording.time_s)
+        changed = any(name == recording.name for name, _ in shared)
+        result.append(dataclasses.replace(recording, outputs=outputs) if changed else recording)
+    return result
 
 
 def without_wraps(recording: Recording, machine: Machine) -> Recording:

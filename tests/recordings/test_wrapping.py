@@ -14,8 +14,11 @@ from hframe_gym.recordings import (
     Recording,
     exact_quantum,
     find_wrap,
+    jumps_between_ends,
     known_moduli,
+    shared_wraps,
     unwrapped,
+    without_shared_wraps,
     without_wraps,
     wraps_of,
 )
@@ -156,3 +159,87 @@ def test_turns_during_a_gap_follow_from_the_speeds_around_it() -> None:
     angle = 30.0 * TIME + 2.0 * TIME**2
     wrapped = angle % (2 * math.pi)
     np.testing.assert_allclose(unwrapped(wrapped[kept], 2 * math.pi, TIME[kept]), angle[kept], atol=1e-9)
+
+
+def test_values_on_the_way_between_the_ends_are_not_measured() -> None:
+    angle = 5.0 * np.sin(1.5 * TIME) + 3.0
+    values = angle % (2 * math.pi)
+    jumps = np.flatnonzero(np.abs(np.diff(values)) > math.pi)
+    values[jumps[0]], values[jumps[1]] = 2.0, 4.5
+    wrap = find_wrap(values, known_moduli(0.0, angle=True))
+    assert wrap is not None
+    assert (wrap.jumps, wrap.lost) == (len(jumps), 2)
+    assert "2 rows in which it switches" in wrap.describe("rad")
+    continuous = unwrapped(values, wrap.modulus, TIME)
+    kept = np.isfinite(continuous)
+    np.testing.assert_array_equal(np.flatnonzero(~kept), jumps[:2])
+    np.testing.assert_allclose((continuous - values[0])[kept], (angle - angle[0])[kept], atol=1e-9)
+
+
+def test_a_potentiometer_rests_in_its_dead_angle() -> None:
+    """Its range of one turn ends 0.3 rad before the next one begins; it rests at the lower end meanwhile."""
+    angle = 5.0 * np.sin(1.5 * TIME) + 3.0
+    position = angle % (2 * math.pi + 0.3)
+    values = np.maximum(position - 0.3, 0.0)
+    wrap = find_wrap(values, known_moduli(0.0, angle=True))
+    assert wrap is not None
+    assert wrap.modulus == 2 * math.pi
+    continuous = unwrapped(values, wrap.modulus, TIME)
+    np.testing.assert_array_equal(np.isnan(continuous), position <= 0.3)
+    assert np.nanmax(np.abs(np.diff(continuous))) < 0.01
+
+
+def test_an_encoder_in_slow_motion_has_no_dead_angle() -> None:
+    values = np.rint(1000.0 * np.sin(1.5 * TIME)) % 720
+    wrap = find_wrap(values, {720.0: "one turn"})
+    assert wrap is not None
+    assert wrap.lost == 0
+
+
+def test_a_wrap_that_another_run_shows_is_unwrapped(hframe: Machine) -> None:
+    """A single jump with disturbed values before it does not tell the size of the turn."""
+    angle = 5.0 * np.sin(1.5 * TIME) + 3.0
+    first, second = (angle % (2 * math.pi) for _ in range(2))
+    jumps = np.flatnonzero(np.abs(np.diff(second)) > math.pi)
+    second[jumps[0] - 1 : jumps[0] + 1] = 5.9, 5.95
+    end = jumps[1] - 100
+    template = example_runs("rig_a")[0]
+    runs = []
+    for name, values, rows in (("a", first, len(TIME)), ("b", second, int(end))):
+        outputs = np.zeros((rows, 4))
+        outputs[:, PHI1] = values[:rows]
+        inputs = np.zeros((rows, template.inputs.shape[1]))
+        runs.append(Recording(name, TIME[:rows], inputs, outputs))
+    assert find_wrap(runs[1].outputs[:, PHI1], known_moduli(0.0, angle=True)) is None
+    [(key, wrap)] = shared_wraps(runs, hframe).items()
+    assert key == ("b", "phi1_rad")
+    assert wrap.modulus == 2 * math.pi
+    untouched, changed = without_shared_wraps(runs, hframe)
+    assert untouched is runs[0]
+    kept = ~np.isin(np.arange(end), [jumps[0] - 1, jumps[0]])
+    expected = angle[:end] - angle[0] + second[0]
+    np.testing.assert_allclose(changed.outputs[kept, PHI1], expected[kept], atol=1e-9)
+
+
+@pytest.mark.parametrize("speed", [1.0, 300.0])
+def test_jumps_between_ends_are_found_whatever_the_turn(speed: float) -> None:
+    values = np.minimum((3.0 * speed * TIME) % 5.5, 5.0)
+    jumps = jumps_between_ends(values, 0.0, 5.0)
+    if speed == 1.0:
+        assert jumps is not None
+        assert (len(jumps.rows), jumps.before, round(jumps.after, 2)) == (2, 5.0, 0.0)
+    else:
+        assert jumps is None
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        np.where(np.arange(4000) == 2000, 5.0, 0.4 * np.sin(2.0 * TIME)),  # an outlier
+        np.clip(5.0 * np.sin(40.0 * TIME) + 2.5, 0.0, 5.0),  # a fast motion
+        np.where(TIME < 2.0, 1.5, 4.5) + 0.1 * np.sin(TIME),  # a step within the range
+    ],
+    ids=["outlier", "motion", "step"],
+)
+def test_other_jumps_are_not_between_ends(values: np.ndarray) -> None:
+    assert jumps_between_ends(values, 0.0, 5.0) is None

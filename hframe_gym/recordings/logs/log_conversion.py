@@ -243,9 +243,10 @@ class LogConverter:
         if wrap is None:
             return values, ""
         jumps = f"{wrap.jumps} jump{'s' if wrap.jumps > 1 else ''}"
-        return unwrapped(
-            values, wrap.modulus, time_s
-        ), f"{channel}: starts anew after {wrap.name}, made continuous ({jumps})"
+        remark = f"{channel}: starts anew after {wrap.name}, made continuous ({jumps})"
+        if wrap.lost:
+            remark += f"; {wrap.describe_lost()}"
+        return unwrapped(values, wrap.modulus, time_s), remark
 
     def _seconds(self, log: Log, source: ChannelSource, by_header: Values, remarks: list[str]) -> Array:
         """Return a column's times, s; NaN where a cell is empty. Clocks that start anew are continued."""
