@@ -19,9 +19,12 @@ from ..preparation.session import prepare_within_ranges
 from ..preparation.usable import usable_run
 from ..recordings import (
     Recording,
+    jumps_between_ends,
     peak_to_peak,
+    shared_wraps,
     without_outliers,
     without_repetitions,
+    without_shared_wraps,
     without_silences,
     without_wraps,
     wraps_of,
@@ -30,6 +33,7 @@ from .excitation import check_excitation, constant_inputs
 from .findings import Finding, Severity, channel_unit
 from .identifiability import check_parameters
 from .input_noise import check_input_noise
+from .run_signs import check_signs_of_runs
 from .sampling import (
     check_input_timing,
     check_sampling,
@@ -45,6 +49,7 @@ from .starts import check_starts
 from .stuck_outputs import NOISE_SPAN, stuck_outputs
 from .wiring import check_wiring
 
+_MIN_JUMPS = 2  # a single one may be a step, or a connection that was lost meanwhile
 _MIN_REST = 0.05  # s; a shorter rest hardly determines the initial state and the sensors' zeros
 _REST_TOLERANCE = 1e-6  # s; times in a file are rounded
 # Fraction of a channel's span in all runs; a run without input that moves by more has lost its input.
@@ -68,9 +73,12 @@ def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[
     recordings, too_short = _without_short_runs(recordings)
     if wrong_times := times_in_milliseconds(recordings):
         return wrong_times
+    wrapped = _shared_wraps(recordings, machine) + _unknown_turns(recordings, machine)
+    recordings = without_shared_wraps(recordings, machine)
     cleaned, rests, data, moving = _prepared(recordings, machine)
     findings = [
         *too_short,
+        *wrapped,
         sampling_rate(recordings),
         *overlapping_clocks(recordings),
         *_sensor_noise(data, machine),
@@ -113,8 +121,10 @@ def check_before_fit(recordings: Sequence[Recording], machine: Machine) -> list[
     recordings, too_short = _without_short_runs(recordings)
     if wrong_times := times_in_milliseconds(recordings):
         return wrong_times
+    wrapped = _shared_wraps(recordings, machine) + _unknown_turns(recordings, machine)
+    recordings = without_shared_wraps(recordings, machine)
     cleaned, rests, data, moving = _prepared(recordings, machine)
-    findings = too_short + _faults_and_advice(recordings, cleaned, rests, data, moving, machine)
+    findings = too_short + wrapped + _faults_and_advice(recordings, cleaned, rests, data, moving, machine)
     findings += constant_inputs(recordings, machine)
     return _by_severity([finding for finding in findings if finding.severity != "note"])
 
@@ -170,6 +180,8 @@ def _faults_and_advice(
     findings += _position_checks(moved, data, machine) + check_speeds(moved, machine)
     if not any(finding.severity == "fault" for finding in findings):
         findings += check_starts(moved, data, machine)
+    if not any(finding.severity == "fault" for finding in findings):
+        findings += check_signs_of_runs(data.with_runs(moving).runs, machine)
     if any(finding.severity == "fault" for finding in findings):
         return findings  # a fit would be meaningless
     moving_data = data.with_runs(moving)
@@ -206,6 +218,45 @@ def _wraps(recording: Recording, machine: Machine) -> list[Finding]:
         Finding("advice", recording.name, channel, wrap.describe(channel_unit(channel, machine)))
         for channel, wrap in wraps_of(recording, machine).items()
     ]
+
+
+def _shared_wraps(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
+    """Report the angles and counters of some runs that wrap as in other runs."""
+    return [
+        Finding("advice", run, channel, f"{wrap.describe(channel_unit(channel, machine))}, as in other runs")
+        for (run, channel), wrap in shared_wraps(recordings, machine).items()
+    ]
+
+
+def _unknown_turns(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
+    """Report angles that jump from one end of their values to the other, by no turn that is known."""
+    shared = shared_wraps(recordings, machine)
+    findings = []
+    for j, sensor in enumerate(machine.sensors):
+        if not sensor.of_position or machine.coordinate(sensor.coordinate).kind != "rotary":
+            continue
+        values = [recording.outputs[:, j] for recording in recordings]
+        measured = np.concatenate([each[np.isfinite(each)] for each in values])
+        if not len(measured):
+            continue
+        low, high = float(measured.min()), float(measured.max())
+        unit = channel_unit(sensor.channel, machine)
+        for recording, each in zip(recordings, values, strict=True):
+            known = (recording.name, sensor.channel) in shared or sensor.channel in wraps_of(
+                recording, machine
+            )
+            jumps = None if known else jumps_between_ends(each, low, high)
+            if jumps is None or len(jumps.rows) < _MIN_JUMPS:
+                continue
+            message = (
+                f"jumps {len(jumps.rows)} times between the ends of its values, the first time in row "
+                f"{jumps.rows[0] + 1} (from {jumps.before:.4g} to {jumps.after:.4g} {unit}), which no motion "
+                "does, and by no turn that is known: does the sensor turn through a dead angle? If its unit "
+                'is right, declare it as "absolute-angle", which makes its turns of 2 pi rad continuous; '
+                "otherwise correct its unit or scale"
+            )
+            findings.append(Finding("advice", recording.name, sensor.channel, message))
+    return findings
 
 
 def _by_severity(findings: Sequence[Finding]) -> list[Finding]:

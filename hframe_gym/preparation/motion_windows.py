@@ -151,11 +151,13 @@ class ForceEquations(NamedTuple):
         force: Force F, N or Nm, shape (rows,).
         columns: Declared inertial force, z', sign(z'), then both signs of each further term: z minus its mean
             where a spring is asked for, 1, and for an angle sin(z) and cos(z); shape (rows, coefficients).
+        runs: Index of the run of each row, shape (rows,).
     """
 
     motion: int
     force: Array
     columns: Array
+    runs: NDArray[np.int_]
 
     @property
     def determined(self) -> bool:
@@ -195,6 +197,7 @@ def force_equations(
     gains = np.column_stack([R @ machine.coefficients({d.coordinate: d.gain}) for d in machine.drives])
     force = np.concatenate([w.inputs for w in windows]) @ input_correction.T @ gains.T
     mass = np.array([c.mass for c in machine.coordinates])
+    runs = np.repeat(np.arange(len(windows)), [len(w.velocity) for w in windows])
     inertial = np.nan_to_num(acceleration) @ (R @ (mass[:, None] * R.T))
     for k in determined:
         rows = np.isfinite(acceleration).all(axis=1)
@@ -206,4 +209,5 @@ def force_equations(
         if machine.coordinates[int(np.argmax(np.abs(R[k]) > 0.0))].kind == "rotary":
             free += [np.sin(z), np.cos(z)]
         signed = [sign * column for column in free for sign in (1.0, -1.0)]
-        yield ForceEquations(int(k), F, np.column_stack([inertial[rows, k], dz, np.sign(dz), *signed]))
+        columns = np.column_stack([inertial[rows, k], dz, np.sign(dz), *signed])
+        yield ForceEquations(int(k), F, columns, runs[rows])
