@@ -275,7 +275,7 @@ def jumps_between_ends(values: Array, low: float, high: float) -> EndJumps | Non
     Args:
         values: Values of one channel in one run, NaN where not measured, shape (n,).
         low: Lower end of the values in all runs, in the unit of the values.
-        high: Upper end.
+        high: Upper end, in the same unit.
     """
     extent = high - low
     measured = np.flatnonzero(np.isfinite(values) & ~switching_rows(values))
