@@ -226,12 +226,15 @@ def number_with_clear_gains(
     return number, best
 
 
-def _with_delay(fitted: Fit, data: Dataset, *, start: float = 0.0, goal: float = math.inf) -> Fit:
+def _with_delay(
+    fitted: Fit, data: Dataset, *, start: float = 0.0, least: float = 0.0, goal: float = math.inf
+) -> Fit:
     """Fit a machine again with a delay of all drives, from which a fit learns how late the voltages act.
 
     Args:
         fitted: Fit of a machine to the same runs.
         start: Delay from which the fit starts, s.
+        least: Least delay, s.
         goal: Cost, dimensionless, above which the fit is of no use (`fit`).
     """
     if _has_timing(fitted.machine):
@@ -243,7 +246,7 @@ def _with_delay(fitted: Fit, data: Dataset, *, start: float = 0.0, goal: float =
         start,
         prior=_DELAY_PRIOR,
         scale=definition.scale,
-        lower=definition.lower,
+        lower=max(definition.lower, least),
         upper=definition.upper,
     )
     return fit(
@@ -386,33 +389,42 @@ def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
     held = continue_fit(fitted, data, SEARCH_BANDWIDTH)
     if not can_show_updates(data):
         return VoltageUpdates(1, held.chi2, held.chi2)
-    per_row, best = _least_error(held, data, required_gain(held.error, criteria) / _MOST_FURTHER_GAIN)
+    promising = required_gain(held.error, criteria) / _MOST_FURTHER_GAIN
+    per_row, best = _least_error(held, data, promising)
     if per_row > 1 and _change(held, best, data.with_updates(per_row), criteria):
         per_row = count_updates(best, data.with_updates(per_row))
         fitted = continue_fit(best, data.with_updates(per_row), SEARCH_BANDWIDTH)
         return VoltageUpdates(per_row, held.chi2, fitted.chi2)
-    return _changing_beside_delay(held, data, criteria) or VoltageUpdates(1, held.chi2, held.chi2)
+    beside_delay = _changing_beside_delay(held, data, promising, criteria)
+    return beside_delay or VoltageUpdates(1, held.chi2, held.chi2)
 
 
-def _changing_beside_delay(held: Fit, data: Dataset, criteria: SelectionCriteria) -> VoltageUpdates | None:
+def _changing_beside_delay(
+    held: Fit, data: Dataset, promising: float, criteria: SelectionCriteria
+) -> VoltageUpdates | None:
     """Return how often the voltages change between the rows if drives act as late as held voltages do.
 
     Held voltages act late by half a sampling period, and so do voltages that change between the rows of
     drives with a delay or lag. Both are compared with the delay as a parameter; None if the voltages may be
-    held.
+    held. What tells them apart is how smoothly the voltages change. As held voltages cannot act earlier than
+    that, changing ones must not in this comparison either: a simulator of Euler steps acts earlier by half a
+    step, and a laser that is late seems to.
 
     Args:
         held: Fit with voltages that are held from row to row.
         data: The same runs.
+        promising: By how much two changes a row must reduce chi-squared per sample, dimensionless: what a
+            machine without an effect leaves changes a little with everything.
     """
     changing = data.with_updates(_FEWEST_UPDATES)
-    enough = held.cost - criteria.min_gain * held.count
+    enough = held.cost - promising * held.count
     earlier = (0.5 - 0.5 / _FEWEST_UPDATES) * data.period
-    delayed = _with_delay(held, changing, start=earlier, goal=enough)
-    if not delayed.cost < enough:
+    as_late = _with_delay(held, changing, start=earlier, least=earlier, goal=enough)
+    if not as_late.cost < enough:
         return None
-    if not _change(_with_delay(held, data), delayed, changing, criteria):
+    if not _change(_with_delay(held, data), as_late, changing, criteria):
         return None
+    delayed = _with_delay(held, changing, start=earlier)
     number, best = _with_fewest_changes(delayed, changing, criteria)
     return VoltageUpdates(number, held.chi2, best.chi2)
 

@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from hframe_gym import simulate
 from hframe_gym.data_validation.sampling import check_voltages_between_rows
@@ -18,6 +19,7 @@ from hframe_gym.identification.fit.covariance import DELAY_STD
 from hframe_gym.identification.fit.slow_logs import ExcessDelay, excess_delay
 from hframe_gym.identification.fit.voltage_updates import (
     VoltageUpdates,
+    _changing_beside_delay,
     _least_error,
     can_show_updates,
     count_updates,
@@ -138,6 +140,26 @@ def test_a_delay_of_the_drives_does_not_hide_that_voltages_change_between_the_ro
     updates = found(data)
     assert updates.per_row > 1
     assert updates.fitted < 0.5 * updates.held
+
+
+def test_what_a_missing_effect_leaves_must_fall_clearly_before_a_delay_is_assumed() -> None:
+    """Where an effect is missing, smoother voltages and a delay reduce the error a little."""
+    data = delayed_log()
+    held = refitted(data)
+    gain = held.chi2 - found(data).fitted
+    assert _changing_beside_delay(held, data, 0.5 * gain, SelectionCriteria()) is not None
+    assert _changing_beside_delay(held, data, 1.5 * gain, SelectionCriteria()) is None
+
+
+@pytest.mark.parametrize("share", [0.05, 0.1])
+def test_held_voltages_that_act_a_little_earlier_are_held(share: float) -> None:
+    """Euler steps act early by half a step; smoother voltages with a delay seem to explain that."""
+    runs = (moved(seed, window=30) for seed in range(3))
+    later = (
+        dataclasses.replace(run, outputs=CubicSpline(run.time_s, run.outputs)(run.time_s + share * PERIOD))
+        for run in runs
+    )
+    assert found(prepare(list(later), AXIS)).per_row == 1
 
 
 def test_fewer_changes_do_not_take_the_place_of_a_delay_that_is_missing() -> None:
