@@ -166,8 +166,9 @@ def lost_rows(values: Array) -> NDArray[np.bool_]:
     """Return the rows in which values that wrap belong to no angle.
 
     They were measured on the way from one end to the other (`switching_rows`), or while the sensor rested at
-    an end next to a jump, in a dead angle: next to nearly all jumps, the value stays the same for several
-    times as long as usual.
+    an end, in a dead angle: within a few changes of nearly all jumps, the value stays at the smallest or
+    largest one for several times as long as usual. The changes between rest and jump belong to the dead angle
+    as well.
 
     Args:
         values: Values of one channel that wraps, NaN where not measured, shape (n,).
@@ -177,18 +178,25 @@ def lost_rows(values: Array) -> NDArray[np.bool_]:
     """
     lost = switching_rows(values)
     measured = np.flatnonzero(np.isfinite(values) & ~lost)
-    changes = np.diff(values[measured])
+    kept = values[measured]
+    changes = np.diff(kept)
     ends = np.append(np.flatnonzero(changes), len(changes))  # last row of each stretch of equal values
     if len(ends) < 2:
         return lost
     lengths = np.diff(ends, prepend=-1)
     usual = float(np.median(lengths))
-    jumps = np.flatnonzero(np.abs(changes[ends[:-1]]) > _JUMP * float(np.ptp(values[measured])))
-    resting = [k for jump in jumps for k in (jump, jump + 1) if lengths[k] > _DEAD * usual]
-    beside = sum(any(k in (jump, jump + 1) for k in resting) for jump in jumps)
+    jumps = np.flatnonzero(np.abs(changes[ends[:-1]]) > _JUMP * float(np.ptp(kept)))
+    extremes = float(kept.min()), float(kept.max())
+    resting: list[tuple[int, int]] = []  # first and last stretch from a rest to its jump, or from a jump on
+    beside = 0  # jumps
+    for jump in jumps.tolist():
+        near = range(max(jump - _NEIGHBORS + 1, 0), min(jump + _NEIGHBORS + 1, len(lengths)))
+        rests = [k for k in near if lengths[k] > _DEAD * usual and kept[ends[k]] in extremes]
+        resting += [(k, jump) if k <= jump else (jump + 1, k) for k in rests]
+        beside += bool(rests)
     if len(jumps) > 1 and beside >= _AGREEING * len(jumps):
-        for k in resting:
-            lost[measured[ends[k] + 1 - lengths[k] : ends[k] + 1]] = True
+        for first, last in resting:
+            lost[measured[ends[first] + 1 - lengths[first] : ends[last] + 1]] = True
     return lost
 
 

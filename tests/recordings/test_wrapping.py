@@ -181,6 +181,8 @@ def test_a_potentiometer_rests_in_its_dead_angle() -> None:
     angle = 5.0 * np.sin(1.5 * TIME) + 3.0
     position = angle % (2 * math.pi + 0.3)
     values = np.maximum(position - 0.3, 0.0)
+    down = np.flatnonzero(np.diff(values) < -math.pi)
+    values[down[::2] + 1] = 0.005  # it settles at its end
     wrap = find_wrap(values, known_moduli(0.0, angle=True))
     assert wrap is not None
     assert wrap.modulus == 2 * math.pi
@@ -243,3 +245,12 @@ def test_jumps_between_ends_are_found_whatever_the_turn(speed: float) -> None:
 )
 def test_other_jumps_are_not_between_ends(values: np.ndarray) -> None:
     assert jumps_between_ends(values, 0.0, 5.0) is None
+
+
+def test_a_table_that_rests_after_each_step_has_no_dead_angle() -> None:
+    """It moves by a third of a turn in a few rows, and rests at other angles next to the end of the turn."""
+    step = np.repeat(np.clip(np.arange(40) / 4.0, 0.0, 1.0)[None], 30, axis=0) + np.arange(30)[:, None]
+    values = (step.ravel() / 3.0 + 0.9) % 1.0
+    wrap = find_wrap(values, {1.0: "one turn"})
+    assert wrap is not None
+    assert wrap.lost == 0
