@@ -6,8 +6,6 @@ predicts no worse than a plain fit of inertia and friction, or than the file.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from .criteria import SelectionCriteria
 from .error import AS_GOOD
 from .verdict import Verdict
@@ -33,17 +31,18 @@ def is_worse_than(ratio: float, left: float, criteria: SelectionCriteria) -> boo
     return ratio > 1.0 and max(left, 1.0) ** 2 > AS_GOOD * max(left / ratio, 1.0) ** 2
 
 
-def held_out_runs_decide(explained: bool, contradicted: Sequence[bool]) -> bool:
-    """Return whether the held-out runs may replace a fitted machine by a simpler one.
+def held_out_run_decides(explained: bool, *, contradicts_all: bool) -> bool:
+    """Return whether a held-out run may help to choose between a fitted machine and simpler ones.
 
-    Runs that contradict all machines alike say that something was wrong with them, not which machine is
-    right: the smaller of two errors that both differ in kind from what the fitted runs leave is chance.
+    A run that contradicts all of them says that something was wrong with it, not which machine is right: the
+    smaller of two errors that both differ in kind from what the fitted runs leave is chance, and so large
+    that it would outvote the other held-out runs.
 
     Args:
         explained: Whether the fitted machine explains the fitted runs.
-        contradicted: For each machine, whether all held-out runs contradict it.
+        contradicts_all: Whether the run contradicts the fitted machine and all simpler ones.
     """
-    return not (explained and all(contradicted))
+    return not (explained and contradicts_all)
 
 
 def forces_contradict(lacking: float, without: float) -> bool:

@@ -128,6 +128,10 @@ class HeldOutTest:
         """Held-out runs with the measurements at the ends of sensors' ranges too, which a fit leaves out."""
         return with_all_measurements(self.held_out, self.session.usable)
 
+    def with_runs(self, names: Sequence[str]) -> HeldOutTest:
+        """Return the test by some of the held-out runs only."""
+        return HeldOutTest(self.session, self.held_out.with_runs(names), self.criteria)
+
     def errors(self, machine: Machine, fitted: Dataset, name: str = "") -> ModelEvaluation:
         """Simulate a machine over the held-out runs, or look up the errors of an equal one.
 

@@ -29,7 +29,7 @@ from ..judge.delivery import (
     NO_CLEAR_GAIN,
     description_helps,
     forces_contradict,
-    held_out_runs_decide,
+    held_out_run_decides,
     is_worse_than,
     needs_description,
 )
@@ -151,7 +151,7 @@ def no_worse(
 
     If one of them takes the place of a machine with effects, that is the reason why none is named. Where no
     cause is named, a machine with effects that describe what is left takes the place of one without. Held-out
-    runs that all contradict all of these machines choose none.
+    runs that contradict all of these machines do not choose between them.
 
     Args:
         judgment: Outcome of a search with its machines, as the held-out runs judge it.
@@ -161,9 +161,19 @@ def no_worse(
         differing: Names of the held-out runs that contradict the fitted ones.
     """
     evaluated = judgment.evaluated
-    if not _may_choose(evaluated, plain, differing):
+    against_all = _runs_against_all(evaluated, plain, differing)
+    if not against_all:
+        return _chosen(judgment, plain, log, budget)
+    names = [run.name for run in evaluated.held_out.runs if run.name not in against_all]
+    if not names:
         known = None if plain is None else PlainResult(_plain_errors(plain, evaluated), plain.terms)
         return Delivered(evaluated, known, ())
+    return _over_all_runs(_chosen(_over_runs(judgment, names), plain, log, budget), evaluated.test)
+
+
+def _chosen(judgment: Judged, plain: PlainFit | None, log: LineLog, budget: Budget) -> Delivered:
+    """Return the machine that predicts the runs of a judgment best, as `no_worse` says."""
+    evaluated = judgment.evaluated
     result, delivered, sentence = None, evaluated, ""
     if plain is not None:
         result, delivered, sentence = _compared(judgment, plain, log, budget)
@@ -181,19 +191,47 @@ def no_worse(
     return Delivered(delivered._replace(reason=evaluated.reason), result, remarks)
 
 
-def _may_choose(evaluated: Evaluated, plain: PlainFit | None, differing: Sequence[str]) -> bool:
-    """Return whether the held-out runs may choose between the machine of a search and simpler ones."""
-    if not differing or {run.name for run in evaluated.test.complete_runs.runs} - {*differing}:
-        return True
+def _runs_against_all(evaluated: Evaluated, plain: PlainFit | None, differing: Sequence[str]) -> set[str]:
+    """Return the held-out runs that do not choose between machines, because they contradict all of them.
+
+    Args:
+        evaluated: Outcome of the search with its machines.
+        plain: Plain fit to the fitted runs, if there is one.
+        differing: Names of the held-out runs that contradict the fitted ones.
+    """
+    if not differing:
+        return set()
     outcome, held_out = evaluated.outcome, evaluated.held_out
 
-    def contradicted(model: ModelEvaluation) -> bool:
+    def contradicted(model: ModelEvaluation) -> set[str]:
         simpler = dataclasses.replace(outcome.after, machine=model.machine)
-        return len(contradicting_held_out_runs(simpler, model.machine, (), held_out)) == len(held_out.runs)
+        return {*contradicting_held_out_runs(simpler, model.machine, (), held_out)}
 
     simpler = [evaluated.declared] if plain is None else [evaluated.declared, _plain_errors(plain, evaluated)]
+    by_all = {*differing}.intersection(*map(contradicted, simpler))
     explained = outcome.explained if outcome.selected else outcome.before_explains
-    return held_out_runs_decide(explained, [True, *map(contradicted, simpler)])
+    return {name for name in by_all if not held_out_run_decides(explained, contradicts_all=True)}
+
+
+def _over_runs(judgment: Judged, names: Sequence[str]) -> Judged:
+    """Return a judgment with the errors over some of its held-out runs only."""
+
+    def over(evaluated: Evaluated) -> Evaluated:
+        part = evaluated.test.with_runs(names)
+        return part.evaluate(evaluated.outcome)._replace(reason=evaluated.reason)
+
+    withdrawn = judgment.withdrawn
+    return Judged(over(judgment.evaluated), None if withdrawn is None else over(withdrawn))
+
+
+def _over_all_runs(delivered: Delivered, test: HeldOutTest) -> Delivered:
+    """Return what is delivered with its errors over all held-out runs, some of which did not choose it."""
+    evaluated, plain = delivered.evaluated, delivered.plain
+    if plain is not None:
+        errors = test.errors(plain.evaluation.machine, evaluated.outcome.data)
+        plain = dataclasses.replace(plain, evaluation=errors)
+    evaluated = test.evaluate(evaluated.outcome)._replace(reason=evaluated.reason)
+    return delivered._replace(evaluated=evaluated, plain=plain)
 
 
 def _compared(

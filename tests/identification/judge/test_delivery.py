@@ -61,14 +61,14 @@ def test_a_description_helps_where_the_error_says_something(
 
 
 @pytest.mark.parametrize(
-    ("explained", "contradicted", "decide"),
+    ("explained", "contradicts_all", "decides"),
     [
-        (True, [True, True], False),  # a run with another gain
-        (True, [True, False], True),  # the runs agree with the simpler machine
-        (False, [True, True], True),  # no machine is right anyway
+        (True, True, False),  # a run with another gain
+        (True, False, True),  # it agrees with the simpler machine
+        (False, True, True),  # no machine is right anyway
     ],
 )
-def test_held_out_runs_that_contradict_all_machines_choose_none(
-    explained: bool, contradicted: list[bool], decide: bool
+def test_a_held_out_run_that_contradicts_all_machines_does_not_choose(
+    explained: bool, contradicts_all: bool, decides: bool
 ) -> None:
-    assert judge.held_out_runs_decide(explained, contradicted) == decide
+    assert judge.held_out_run_decides(explained, contradicts_all=contradicts_all) == decides

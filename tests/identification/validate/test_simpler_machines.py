@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -48,6 +48,12 @@ class HeldOutRuns:
     explaining: AppliedEffect | None = None
     predicted: dict[tuple[str, ...], float] = dataclasses.field(default_factory=dict)
     complete_runs: Any = None
+    part: dict[tuple[str, ...], float] = dataclasses.field(default_factory=dict)
+
+    def with_runs(self, names: Sequence[str]) -> HeldOutRuns:
+        return dataclasses.replace(
+            self, errors_of=self.part, complete_runs=self.complete_runs.with_runs(names)
+        )
 
     def explains_unstable_motion(self, model: ModelEvaluation, fitted: object) -> bool:
         return self.explaining in model.machine.effects
@@ -260,3 +266,22 @@ def test_held_out_runs_that_contradict_all_machines_choose_none(explained: bool,
     stays = explained and gain != 1.0
     assert delivered.evaluated.after.machine.effects == ((FORCE,) if stays else ())
     assert delivered.evaluated.reason == "it contradicts"
+
+
+@pytest.mark.parametrize(("others", "stays"), [(1.0, True), (600.0, False)])
+def test_of_the_held_out_runs_only_those_choose_that_do_not_contradict_all_machines(
+    others: float, stays: bool
+) -> None:
+    """A run with a smaller gain leaves hundreds of noises with each machine; the other one tells."""
+    declared, fitted = AXIS.replace(effects=()), AXIS.replace(effects=()).with_effects(FORCE)
+    held_out = DATA.with_runs(["run_1", "run_2"])
+    held_out = held_out.with_inputs(
+        {run.name: (0.5 if run.name == "run_2" else 1.0) * run.inputs for run in held_out.runs}
+    )
+    both, alone = {(): 430.0, (FORCE_LABEL,): 559.0}, {(): 300.0, (FORCE_LABEL,): others}
+    runs = HeldOutRuns(declared, both, complete_runs=held_out, part=alone)
+    found = SearchOutcome(fit_of(fitted), True, True, "unexplained", fit_of(fitted), (), (), DATA)
+    judgment = Judged(runs.evaluate(found)._replace(reason="it contradicts"))
+    delivered = no_worse(judgment, None, lambda line: None, Budget(), differing=("run_2",))
+    assert delivered.evaluated.after.machine.effects == ((FORCE,) if stays else ())
+    assert delivered.evaluated.after.held_out.noise_ratio == both[(FORCE_LABEL,) if stays else ()]
