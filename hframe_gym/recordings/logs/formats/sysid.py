@@ -117,7 +117,8 @@ class SysIdLogs(LogFormat):
 
     @override
     def recognizes(self, path: Path, start: bytes) -> bool:
-        return is_json(path, start)
+        """Recognize JSON, but not compressed one, which is that of Klipper's data_logger."""
+        return is_json(path, start) and not path.name.lower().endswith(".gz")
 
     @override
     def is_log(self, path: Path) -> bool:
