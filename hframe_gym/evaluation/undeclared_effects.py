@@ -10,10 +10,10 @@ have none). The size of an effect that is on is log-uniform from `SMALLEST_SIZE`
 which is what a used machine may plausibly have. Further parameters (wavelengths, phases) have the
 distributions of the table.
 
-Left out are effects that change the machine's structure (`bridge_yaw`, `idler_inertia`, `frame_resonance`,
-`payload_swing`, `gear_backlash`), those that replace its friction law (`presliding`, `bouc_wen_hysteresis`),
-and those of the sensors' scale, skew, range and periodic errors, because they move the measured goal: no
-controller could then reach the true one.
+Left out are effects that no parameter value switches off, because they change the machine's structure
+(`bridge_yaw`, `idler_inertia`, `frame_resonance`, `payload_swing`, `gear_backlash`) or replace its friction
+law (`presliding`, `bouc_wen_hysteresis`). Errors of the sensors' scale, skew and range and periodic ones are
+left out too: with them, a tool that is measured at the goal is elsewhere, which no controller can correct.
 """
 
 from __future__ import annotations
@@ -70,10 +70,10 @@ class Sometimes(Distribution):
 
     @override
     def quantile(self, u: Array) -> Array:
-        """Compute quantiles of the mixture, in ascending order.
+        """Compute quantiles: the value below which a fraction u of the numbers lies.
 
-        The constant comes after the log-uniform numbers if it is at least `high`, before them otherwise; with
-        `signed`, between the negative and the positive ones.
+        A constant of at most `low` is the smallest number, one of at least `high` the largest. With `signed`,
+        the constant 0 lies between the negative and the positive numbers.
         """
         size = LogUniform(self.low, self.high)
         below = self.probability if self.otherwise >= self.high else 0.5 * self.probability * self.signed
@@ -97,7 +97,7 @@ class EffectFamily:
         size: Name of the parameter that sets the strength of the effect, for example an amplitude or a limit.
         ranges: Smallest and largest absolute value of this parameter, SI, where the effect is on, by site.
         signed: Whether it is negative in half of the cases.
-        absent: Its value where the effect is off, SI: one that has no influence.
+        absent: Its value where the effect is off, SI: one that has no influence (`current_limit`: 12 A).
         others: Distributions of the other parameters, by name; `rotary` has those of the sites phi1 and phi2.
         rotary: Distributions of the other parameters at the sites phi1 and phi2, if they differ.
         fixed: Values of parameters that do not vary, SI, by name.
@@ -127,6 +127,7 @@ def _up_to(**full: float) -> dict[str, tuple[float, float]]:
 
 
 _PHASE = Uniform(0.0, 2.0 * math.pi)
+# Full sizes in the units of docs/effects.md: forces in N at x and y, torques in Nm at pulleys and motors.
 EFFECT_FAMILIES: tuple[EffectFamily, ...] = (
     EffectFamily(
         "stribeck_friction",
@@ -219,10 +220,11 @@ def acting_effects(machine: Machine, parameters: Array) -> Machine:
     """
     values = dict(zip(machine.parameters, np.asarray(parameters, np.float64).tolist(), strict=True))
     sampled = machine.replace(values)
-    absent = {f"{f.name}@{site}": f"{f.name}@{site}.{f.size}" for f in EFFECT_FAMILIES for site in f.ranges}
-    # The current limit of the drives acts in every episode.
-    limits = {family.name: family.absent for family in EFFECT_FAMILIES if family.name != "current_limit"}
-    kept = tuple(
-        e for e in sampled.effects if e.name not in limits or values[absent[e.label]] != limits[e.name]
-    )
-    return sampled.replace(effects=kept)
+    off = {
+        f"{family.name}@{site}"
+        for family in EFFECT_FAMILIES
+        for site in family.ranges
+        if family.name != "current_limit"  # which acts in every episode
+        and values.get(f"{family.name}@{site}.{family.size}") == family.absent
+    }
+    return sampled.replace(effects=tuple(e for e in sampled.effects if e.label not in off))
