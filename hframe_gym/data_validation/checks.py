@@ -73,8 +73,7 @@ def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[
     recordings, too_short = _without_short_runs(recordings)
     if wrong_times := times_in_milliseconds(recordings):
         return wrong_times
-    wrapped = _shared_wraps(recordings, machine) + _unknown_turns(recordings, machine)
-    recordings = without_shared_wraps(recordings, machine)
+    recordings, wrapped = _with_shared_wraps(recordings, machine)
     cleaned, rests, data, moving = _prepared(recordings, machine)
     findings = [
         *too_short,
@@ -121,12 +120,19 @@ def check_before_fit(recordings: Sequence[Recording], machine: Machine) -> list[
     recordings, too_short = _without_short_runs(recordings)
     if wrong_times := times_in_milliseconds(recordings):
         return wrong_times
-    wrapped = _shared_wraps(recordings, machine) + _unknown_turns(recordings, machine)
-    recordings = without_shared_wraps(recordings, machine)
+    recordings, wrapped = _with_shared_wraps(recordings, machine)
     cleaned, rests, data, moving = _prepared(recordings, machine)
     findings = too_short + wrapped + _faults_and_advice(recordings, cleaned, rests, data, moving, machine)
     findings += constant_inputs(recordings, machine)
     return _by_severity([finding for finding in findings if finding.severity != "note"])
+
+
+def _with_shared_wraps(
+    recordings: Sequence[Recording], machine: Machine
+) -> tuple[Sequence[Recording], list[Finding]]:
+    """Return the runs without wraps that only other runs show, and advice on angles that jump."""
+    advice = _shared_wraps(recordings, machine) + _unknown_turns(recordings, machine)
+    return without_shared_wraps(recordings, machine), advice
 
 
 def _without_short_runs(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Finding]]:
