@@ -3,12 +3,15 @@
     python -m benchmarks.gap run pid pid-corrected my.module:MyEntry    # scores go to benchmarks/gap/results
     python -m benchmarks.gap run my_reach.zip+my_track.zip      # saved policies, for moves and for paths
     python -m benchmarks.gap run pid --plants 0 1 --out DIR             # some plants, another folder
+    python -m benchmarks.gap run pid --again       # plants that another commit scored are scored again
     python -m benchmarks.gap run pid --seed 48000 --out DIR             # other plants, such as a held set
     python -m benchmarks.gap table         # write benchmarks/results/gap.json from the result files
     python -m benchmarks.gap trained --out DIR    # NAME-trained and NAME-corrected: results/gap_trained.json
     python -m benchmarks.gap list | plants | bounds | picture
 
-A run that ends early continues where it ended. Identified machines and trained agents are kept in out/gap.
+A run that ends early continues where it ended. Where the source of an entry has changed, its plants are
+scored again; rows of plants that a run leaves out stay, and say which code scored them. Identified machines
+and trained agents are kept in out/gap.
 """
 
 from __future__ import annotations
@@ -29,7 +32,9 @@ CACHE = ROOT / "out" / "gap"
 ACTIONS = ("run", "table", "trained", "list", "plants", "bounds", "picture")
 
 
-def run(name: str, seed: int, indices: list[int], out: Path, cache: Path = CACHE) -> Path:
+def run(
+    name: str, seed: int, indices: list[int], out: Path, cache: Path = CACHE, again: bool = False
+) -> Path:
     """Score an entry and write its result file after every plant.
 
     Args:
@@ -37,9 +42,13 @@ def run(name: str, seed: int, indices: list[int], out: Path, cache: Path = CACHE
         indices: Numbers of the plants.
         out: Folder of the result file.
         cache: Folder of identified machines and trained agents.
+        again: Whether plants that another commit scored are scored again.
 
     Returns:
         Path of the file.
+
+    Raises:
+        InputError: If there is no such entry, or the folder holds its results on plants of another seed.
     """
     make = get_entry(name)
     name = make.name or name
@@ -47,18 +56,27 @@ def run(name: str, seed: int, indices: list[int], out: Path, cache: Path = CACHE
     content = results.new_content(name, make, seed)
     if path.is_file():
         before = results.read(path)
-        if (before["seed"], before["entry"]) == (content["seed"], content["entry"]):
-            content = before
-    done = {row["plant"]: row for row in content["plants"]}
+        if before["seed"] != seed:
+            raise InputError(
+                f"{path} holds results on plants of seed {before['seed']}; name another folder with --out"
+            )
+        content["plants"] = results.kept_rows(before, content["entry"]["sha256"])
     scored_by = results.commit()
+    done = {
+        row["plant"]: row
+        for row in content["plants"]
+        if "sha256" not in row and (not again or row.get("commit") == scored_by)
+    }
 
     def keep(row: dict[str, object]) -> None:
-        content["plants"].append({**row, "commit": scored_by})
+        others = [other for other in content["plants"] if other["plant"] != row["plant"]]
+        content["plants"] = [*others, {**row, "commit": scored_by}]
         results.write(path, content)
         print(f"{name} plant {row['plant']}", flush=True)
 
     of_seed = [other for other in read_all(out).values() if other["seed"] == seed]
-    known = {(row["plant"], row["key"]): row for other in of_seed for row in other["plants"] if "key" in row}
+    rows = [row for other in of_seed for row in other["plants"] if row.get("commit") == scored_by]
+    known = {(row["plant"], row["key"]): row for row in rows if "key" in row}
     protocol.score_plants(make, seed, indices, cache, done, known, keep)
     return path
 
@@ -103,6 +121,9 @@ def main() -> None:
         "--seed", type=int, default=PUBLIC_SEED, help="of the plants (default: those of gap-v1)"
     )
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the result files")
+    parser.add_argument(
+        "--again", action="store_true", help="run: score plants again that another commit scored"
+    )
     arguments = parser.parse_args()
     try:
         if arguments.action == "run":
@@ -110,7 +131,7 @@ def main() -> None:
             if not arguments.entries:
                 raise InputError("run needs at least one entry; python -m benchmarks.gap list names them")
             for name in arguments.entries:
-                run(name, arguments.seed, arguments.plants, arguments.out)
+                run(name, arguments.seed, arguments.plants, arguments.out, again=arguments.again)
         elif arguments.action == "list":
             print("\n".join(entry_names()))
         elif arguments.action == "plants":

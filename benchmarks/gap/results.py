@@ -56,6 +56,27 @@ def new_content(name: str, entry: type[GapEntry], seed: int) -> dict[str, Any]:
     }
 
 
+def kept_rows(before: dict[str, Any], sha256: str) -> list[dict[str, Any]]:
+    """Return the rows of an earlier file for one of the present code; each says what scored it.
+
+    Args:
+        before: Content of the earlier file.
+        sha256: Hash of the entry as it is now.
+
+    Returns:
+        The rows. One without a commit has the "version" of its file, and one that another source of the entry
+        has scored the hash "sha256" of that source.
+    """
+    rows = []
+    for row in before["plants"]:
+        scored = {key: value for key, value in row.items() if key != "sha256"}
+        if not row.get("commit"):
+            scored.setdefault("version", before["versions"]["hframe_gym"])
+        source = row.get("sha256", before["entry"]["sha256"])
+        rows.append(scored if source == sha256 else {**scored, "sha256": source})
+    return rows
+
+
 def commit() -> str | None:
     """Return this checkout's commit, with "-dirty" where files differ from it; None if it is no checkout."""
     git = shutil.which("git")

@@ -152,7 +152,8 @@ def _scored_by(contents: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
     plants: dict[tuple[str, str], list[int]] = {}
     for name, content in contents.items():
         for row in content["plants"]:
-            code = row.get("commit") or f"version {content['versions']['hframe_gym']}"
+            version = row.get("version", content["versions"]["hframe_gym"])
+            code = row.get("commit") or f"version {version}"
             plants.setdefault((code, name), []).append(row["plant"])
     entries: dict[tuple[str, tuple[int, ...]], list[str]] = {}
     for (code, name), indices in sorted(plants.items()):

@@ -337,6 +337,42 @@ def test_run_continues_and_keeps_the_result(tmp_path: Path, monkeypatch: pytest.
     assert "still" in overview(read_all(tmp_path))
 
 
+def test_a_run_replaces_only_what_it_scores_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows of other plants stay when the source of the entry changes, and say what scored them."""
+    name, code = f"{__name__}:Still", {"sha256": "old", "commit": None}
+    monkeypatch.setattr(results, "commit", lambda: code["commit"])
+    monkeypatch.setattr(results, "sha256_of", lambda entry: code["sha256"])
+    path = run(name, PUBLIC_SEED, [0, 1, 2], tmp_path, tmp_path / "cache")
+    first = results.read(path)
+    results.write(path, {**first, "versions": {"hframe_gym": "0.2.0"}})
+
+    def scored_by() -> list[tuple[object, ...]]:
+        rows = results.read(path)["plants"]
+        return [(row["plant"], row["commit"], row.get("version"), row.get("sha256")) for row in rows]
+
+    code.update(sha256="new", commit="83a03865")
+    run(name, PUBLIC_SEED, [1], tmp_path, tmp_path / "cache")
+    assert results.read(path)["entry"]["sha256"] == "new"
+    assert scored_by() == [
+        (0, None, "0.2.0", "old"),
+        (1, "83a03865", None, None),
+        (2, None, "0.2.0", "old"),
+    ]
+    summary = summarize(read_all(tmp_path))
+    assert [(row["code"], row["plants"]) for row in summary["scored_by"]] == [
+        ("83a03865", [1]),
+        ("version 0.2.0", [0, 2]),
+    ]
+
+    code.update(commit="f395f0af")
+    run(name, PUBLIC_SEED, [0, 1], tmp_path, tmp_path / "cache")  # continues: plant 1 has the present source
+    assert [row[1] for row in scored_by()] == ["f395f0af", "83a03865", None]
+    run(name, PUBLIC_SEED, [0, 1], tmp_path, tmp_path / "cache", again=True)
+    assert [row[1] for row in scored_by()] == ["f395f0af", "f395f0af", None]
+    with pytest.raises(InputError, match="plants of seed 47000; name another folder"):
+        run(name, PUBLIC_SEED + 1, [0], tmp_path, tmp_path / "cache")
+
+
 def test_equal_models_are_scored_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     machine = declared_machine()
     heavier = machine.replace({"x.mass": 5.0})
