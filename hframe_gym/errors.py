@@ -19,10 +19,10 @@ class InputError(ValueError):
 
 @contextmanager
 def naming_extra(extra: str, need: str) -> Iterator[None]:
-    """Let the imports of a `with` block, where a package is missing, name the extra that installs it.
+    """Catch a failed import in the `with` block; the new error names the extra to install.
 
     Raises:
-        ImportError: If a package is missing; the message is the need and the command that installs the extra.
+        ImportError: If a package is missing; the message is `need` and the command that installs the extra.
     """
     try:
         yield
@@ -34,24 +34,24 @@ _LONGEST_REASON = 300  # characters; those of other libraries may hold a whole f
 
 
 def one_line(error: Exception) -> str:
-    """Return the reason that another library's exception gives, in one line; its type if it gives none."""
+    """Return an exception's message in one line, or the name of its type if the message is empty."""
     return " ".join(str(error).split())[:_LONGEST_REASON] or type(error).__name__
 
 
 def suggestion(name: object, names: Iterable[str]) -> str:
-    """Return the end of a message on an unknown name: "; did you mean 'corexy'?"; "" if none is similar."""
+    """Return the hint "; did you mean 'corexy'?" for an unknown name; "" if no name is similar."""
     similar = difflib.get_close_matches(str(name), list(names), 1)
     return f"; did you mean {similar[0]!r}?" if similar else ""
 
 
 def example_names(name: object, names: Sequence[str]) -> str:
-    """Return the end of a message about an unknown name among many: the similar names, or the first three."""
+    """Return names to list in a message on an unknown name: those similar to it, or else the first three."""
     similar = difflib.get_close_matches(str(name), names, cutoff=0.4) or names[:3]
     return f"names are, for example, {', '.join(similar)}"
 
 
 def is_number(value: object) -> bool:
-    """Return whether a user's argument is a finite real number of Python or NumPy; bool does not count."""
+    """Return whether a value is a finite real number of Python or NumPy; a bool is not."""
     if not isinstance(value, numbers.Real) or isinstance(value, bool):
         return False
     try:
@@ -61,7 +61,7 @@ def is_number(value: object) -> bool:
 
 
 def is_integer(value: object) -> bool:
-    """Return whether an argument of a user is an integer of Python or NumPy; False for bool and for 2.0."""
+    """Return whether a value has an integer type of Python or NumPy; a bool and the float 2.0 do not."""
     return isinstance(value, numbers.Integral) and not isinstance(value, bool)
 
 
@@ -72,7 +72,7 @@ def name_runs(names: Iterable[str]) -> str:
 
 
 def merge_run_warnings(warnings: Iterable[tuple[str, str]]) -> tuple[str, ...]:
-    """Merge warnings (run's name, text) of the same text to lines such as "run_01 and 2 more runs: TEXT"."""
+    """Merge equal warnings (run's name, text) on several runs to lines "run_01 and 2 more runs: TEXT"."""
     runs: dict[str, list[str]] = {}
     for run, text in warnings:
         runs.setdefault(text, []).append(run)

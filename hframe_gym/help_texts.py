@@ -8,12 +8,12 @@ from .registry import load_plugins
 
 
 def with_choices(text: str) -> str:
-    """Return a help text with the registered names in place of its placeholders (`registered_choices`)."""
+    """Return a help text with the registered names in place of placeholders such as {tasks}."""
     return text.format(**registered_choices()) if "{" in text else text
 
 
 def registered_choices() -> dict[str, str]:
-    """List the names that some options accept, by their placeholder in help texts: {"tasks": "reach, track"}.
+    """Return the names that options accept, by their placeholder in help texts: {"tasks": "reach, track"}.
 
     Plugins are imported first. The placeholders are agents, algorithms, controllers, protocols,
     randomizations, sensors, sensor_kinds and tasks.

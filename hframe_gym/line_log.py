@@ -1,4 +1,4 @@
-"""The type of functions that take lines about the work in progress."""
+"""The type of a function that receives progress messages, one line each."""
 
 from __future__ import annotations
 

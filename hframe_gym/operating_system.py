@@ -54,11 +54,11 @@ _KEPT = {_SEPARATE_ABOVE: 64 << 20, _RETURNED_ABOVE: 512 << 20}
 
 @contextmanager
 def reused_memory() -> Iterator[None]:
-    """Keep the memory of freed arrays for the next ones, as a context or a decorator; at its end, return it.
+    """Let the process keep the memory of freed arrays for new arrays, as a context manager or a decorator.
 
-    The GNU C library returns the memory of large arrays to the system at once. The system must clear every
-    page before the next array gets it, which takes longer than the arithmetic of an array that is used a few
-    times. Other C libraries are left as they are.
+    By default the GNU C library returns the memory of large arrays to the system at once. The system must
+    clear every page before the next array gets it, which takes longer than the arithmetic of an array that is
+    used a few times. At the end of the block the memory is returned. Other C libraries are left as they are.
     """
     library = ctypes.CDLL(None) if sys.platform == "linux" else None
     if library is None or not hasattr(library, "mallopt") or not hasattr(library, "malloc_trim"):
@@ -77,7 +77,7 @@ def reused_memory() -> Iterator[None]:
 def user_folder(
     kind: Literal["cache", "data"], system: str = sys.platform, variables: Mapping[str, str] | None = None
 ) -> Path:
-    """Return the folder in which programs keep files of the present user; it need not exist.
+    """Return the folder in which programs keep files of the current user; it may not exist yet.
 
     Args:
         kind: "cache" for files that can be made again, "data" for others.
@@ -96,15 +96,15 @@ def user_folder(
 
 
 def own_group() -> dict[str, Any]:
-    """Return the arguments of `subprocess.Popen` with which `interrupt` reaches a process alone."""
+    """Return arguments of `subprocess.Popen` that let `interrupt` stop the new process but not this one."""
     return {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)}
 
 
 def interrupt(process: subprocess.Popen[str]) -> None:
-    """Send a process that was started with `own_group` what Ctrl-C on its terminal would send."""
+    """Interrupt a process as Ctrl-C would; it must have been started with the arguments of `own_group`."""
     process.send_signal(getattr(signal, "CTRL_BREAK_EVENT", signal.SIGINT))
 
 
 def quoted(word: str, system: str = sys.platform) -> str:
-    """Quote a word of a command that a message proposes, such as a path, as a system's shell needs it."""
+    """Quote a word, such as a path, for the system's shell, in a command that a message proposes."""
     return subprocess.list2cmdline([word]) if system == "win32" else shlex.quote(word)

@@ -1,4 +1,4 @@
-"""Progress that a command prints for the program that started it: a JSON object a line, behind a mark."""
+"""Progress that a command prints for the program that started it: marked lines, each with a JSON object."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ _MARK = "\x1e"  # the record separator of JSON text sequences (RFC 7464)
 
 
 def requested() -> bool:
-    """Return whether the program that started this one asks for records of progress."""
+    """Return whether the program that started this process has asked it to print progress records."""
     return REQUEST.items() <= os.environ.items()
 
 
 def line_of(record: Mapping[str, Any]) -> str:
-    """Return a record of progress as a line of output, without its end."""
+    """Format a progress record as a line of output, without a line end."""
     return f"{_MARK}{json.dumps(record)}"
 
 
 def record_of(line: str) -> dict[str, Any] | None:
-    """Return the record of progress of a line of output, without its end; None if it is another line."""
+    """Read the progress record from a line of output without its line end; None if the line holds none."""
     return json.loads(line.removeprefix(_MARK)) if line.startswith(_MARK) else None

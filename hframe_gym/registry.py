@@ -96,12 +96,12 @@ def _import_from_user(module: str) -> None:
 
 
 def names_module(name: str) -> bool:
-    """Return whether a name has the form `package.module:name`; a Windows path with a drive has not."""
+    """Return whether a name has the form `package.module:name`; a Windows path such as C:/x has not."""
     return re.fullmatch(r"[^\W\d][\w.]*:[^\\/:]+", name) is not None
 
 
 def import_modules(package: str, path: Iterable[str], *, skip: tuple[str, ...] = ()) -> None:
-    """Import every module of a package, but those that `skip` names, so that what they define registers."""
+    """Import all modules of a package, except those in `skip`, so that their parts are registered."""
     for module in pkgutil.iter_modules(path):
         if module.name not in skip:
             importlib.import_module(f"{package}.{module.name}")
@@ -112,9 +112,8 @@ class Registry(Generic[T]):
 
     Args:
         kind: What the collection holds, for error messages, for example "controller".
-        package: Full name of a package whose modules register further parts. It is imported when a name is
-            looked up that is not registered yet, or all names are: a registry need not import what builds on
-            it.
+        package: Full name of a package whose modules register further parts. It is imported when an unknown
+            name is looked up or all names are listed.
     """
 
     def __init__(self, kind: str, package: str = "") -> None:

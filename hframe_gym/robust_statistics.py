@@ -13,11 +13,14 @@ _STD_OF_MEDIAN = 1.4826  # Standard deviation of a normal distribution / median 
 
 
 def std_by_median(deviations: Array, axis: int | None = None) -> Array:
-    """Estimate standard deviations, in the deviations' unit, shape () or (channels,), by median |deviations|.
+    """Estimate standard deviations from the median of |deviations|, which outliers hardly change.
 
     Args:
         deviations: Deviations from the center, in any unit, shape (n,) or (n, channels).
         axis: 0 for the standard deviation of each channel. Default: one of all values.
+
+    Returns:
+        Standard deviations, in the deviations' unit, shape () or (channels,).
     """
     return _STD_OF_MEDIAN * np.median(np.abs(deviations), axis=axis)
 
@@ -26,7 +29,7 @@ def white_noise(pieces: Iterable[Array], order: int) -> float:
     """Estimate the standard deviation of white noise from differences, which smooth motion hardly changes.
 
     Args:
-        pieces: Values by piece, in any unit, each of shape (n,).
+        pieces: Pieces of a signal, in any unit, each of shape (n,).
         order: Order of the differences, dimensionless.
 
     Returns:

@@ -1,4 +1,4 @@
-"""Options of charts (ECharts): several curves over time, one below the other, and one curve of an error."""
+"""Options of charts (ECharts): several curves over time, one below the other, and an error over time."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ _LEFT, _RIGHT = 62, 14
 
 
 def ink(role: str, dark: bool) -> str:
-    """Return the color, "#rrggbb", of a role in `hframe_gym.web_page.COLORS`, on light or dark displays."""
+    """Return the color, "#rrggbb", of a plot element (`web_page.COLORS`), on light or dark displays."""
     return COLORS[role][dark]
 
 
 def height_of(count: int) -> int:
-    """Return the height of a chart of so many curves, in pixels."""
+    """Return the height, in pixels, of a chart of `count` curves."""
     return _TOP + count * (_PLOT + _GAP) + _BOTTOM - _GAP + 8
 
 
@@ -137,7 +137,7 @@ def _frame(dark: bool) -> dict[str, Any]:
 
 
 def with_zoom(options: dict[str, Any], dark: bool) -> dict[str, Any]:
-    """Add a slider of the times, and the zoom by Ctrl and wheel, to a chart's options, and return them."""
+    """Add a time slider, and zooming by Ctrl and wheel, to a chart's options, and return them."""
     options["dataZoom"] = [
         {"type": "inside", "xAxisIndex": "all", "zoomOnMouseWheel": "ctrl", "filterMode": "none"},
         {
@@ -157,7 +157,7 @@ def with_zoom(options: dict[str, Any], dark: bool) -> dict[str, Any]:
 
 
 def with_selection(options: dict[str, Any], dark: bool) -> dict[str, Any]:
-    """Let the mouse select an interval of times: add it to the options of a chart of curves; return them."""
+    """Let the mouse select a time interval in a chart of curves; return the chart's options."""
     options["toolbox"] = {"show": False}
     options["brush"] = {
         "xAxisIndex": "all",
@@ -175,10 +175,10 @@ def with_selection(options: dict[str, Any], dark: bool) -> dict[str, Any]:
 
 
 def error_chart(errors: Sequence[tuple[float, float]], now: float, dark: bool) -> dict[str, Any]:
-    """Return the options of ECharts for the error of the best machine so far, over the processor time.
+    """Return the options of a chart of the best machine's error over the processor time of the search.
 
     Args:
-        errors: Processor time, s, and mean squared residual in units of the noise, each time that it changed.
+        errors: Processor time, s, and chi-squared per sample, at each change of the error.
         now: Present processor time, s.
     """
     muted, line = ink("muted", dark), ink("line", dark)

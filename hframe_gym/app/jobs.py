@@ -23,10 +23,10 @@ _PACKAGES = str(Path(__file__).resolve().parents[2])
 
 @dataclass
 class Progress:
-    """What a command has said about its progress.
+    """Progress that a command has reported.
 
     Attributes:
-        doing: What it does, in words.
+        doing: What the command does now, in words.
         spent: Processor time so far, s, or work done; None if unknown.
         total: Budget, s, or all the work; None if unknown.
         errors: Processor time, s, and chi-squared per sample of the best machine, each time that it changed.
@@ -38,7 +38,7 @@ class Progress:
     errors: list[tuple[float, float]] = field(default_factory=list)
 
     def update(self, record: dict[str, Any]) -> None:
-        """Take over a record of progress that a command has printed."""
+        """Take over the values of a progress record that a command has printed."""
         self.doing = str(record.get("doing") or "")
         self.spent = record.get("spent", record.get("done"))
         self.total = record.get("budget", record.get("total"))
@@ -53,7 +53,7 @@ class Job:
     Attributes:
         commands: Words after "hframe" of each command.
         lines: Output so far.
-        progress: What the present command has said last.
+        progress: Latest progress of the running command.
         exit_code: Exit code of the last command that ran; None while they run.
         began: Time when the job began, s, as `time.monotonic` counts.
         stopped: Whether the user has ended the job.
@@ -89,13 +89,13 @@ class Job:
         return (self._ended or time.monotonic()) - self.began
 
     def stop(self) -> None:
-        """Ask the commands to end, as Ctrl-C does: an identification keeps the best machine so far."""
+        """Interrupt the commands as Ctrl-C does; an identification then keeps the best machine so far."""
         self.stopped = True
         if self._process is not None and self._process.poll() is None:
             interrupt(self._process)
 
     def wait(self, seconds: float | None = None) -> None:
-        """Wait for the end of the commands, at most for some `seconds`, s; None for no limit."""
+        """Wait until the commands end, but at most `seconds`, s; None for no limit."""
         self._thread.join(seconds)
 
     def _run(self) -> None:

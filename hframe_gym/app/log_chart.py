@@ -17,7 +17,7 @@ _MOST_CURVES = 24  # columns that are drawn; logs of machine tools have hundreds
 
 
 class LogChart:
-    """Place on the page where one log after the other is drawn.
+    """Chart on the page that shows one log at a time.
 
     Args:
         dark: Whether the display is dark.
@@ -31,14 +31,14 @@ class LogChart:
 
     @property
     def is_deleted(self) -> bool:
-        """Whether the page shows the place no longer."""
+        """Whether the page no longer shows the chart."""
         return self._place.is_deleted
 
     def draw(self, view: LogView, intervals: Sequence[Interval], *, selectable: bool) -> None:
-        """Draw the columns of a log, nothing if it has none.
+        """Draw the columns of a log; draw nothing if it has none.
 
         Args:
-            intervals: Parts of it that are marked.
+            intervals: Time intervals of the log to mark.
             selectable: Whether the mouse can select an interval; not where the curves are over row numbers.
         """
         self._place.clear()

@@ -1,4 +1,4 @@
-"""Columns of logs and recordings: what they were taken for, and values that are few enough to be drawn."""
+"""Columns of logs and recordings, how an import would use them, and curves with few enough points to draw."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ class Curve:
     """Values over time of a column or channel.
 
     Attributes:
-        note: What it was taken for, in words.
+        note: How an import would use the column, in words.
         time: Times, s, or row numbers, shape (n,).
         values: Values, in the unit that the note or name states, shape (n,); NaN where there is none.
-        held: Whether each value holds until the next, as that of an input.
-        others: Further values by name, shape (n,), such as those that a machine would have measured.
+        held: Whether each value holds until the next one, as for an input.
+        others: Further curves over the same times, by name, shape (n,), such as simulated measurements.
     """
 
     name: str
@@ -82,7 +82,7 @@ def thinned(
 
 @dataclass(frozen=True)
 class LogView:
-    """A log as the user sees it: its curves, and how the import would take its columns.
+    """A log as the user sees it: its curves, and how an import would use its columns.
 
     Attributes:
         curves: Curve of each column of numbers except the time.
@@ -99,10 +99,10 @@ class LogView:
 
 
 def view_log(path: Path, machine: Machine, options: MappingOptions) -> LogView:
-    """Read the first log of a file and say what each of its columns would be taken for.
+    """Read the first log of a file and determine how an import would use each of its columns.
 
     Returns:
-        Curves, converted to the unit of the channel where a column was taken for one.
+        The log's curves; a column that is used as a channel is converted to the channel's unit.
 
     Raises:
         InputError: If the file cannot be read.

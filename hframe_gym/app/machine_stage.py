@@ -154,7 +154,7 @@ def _show_machine(machine: Machine) -> None:
 
 
 def plausibility(machine: Machine) -> tuple[list[list[str]], list[tuple[str, str, str]]]:
-    """List what a machine can do, by which its values can be compared with what one knows.
+    """Compute what a machine can do, for comparison with what the user knows of it.
 
     Returns:
         Limits of the motion, one row for each with the values along each axis and the unit; then rows of
@@ -182,7 +182,7 @@ def plausibility(machine: Machine) -> tuple[list[list[str]], list[tuple[str, str
 
 
 def parameter_rows(machine: Machine) -> list[tuple[str, str, str]]:
-    """List name, value (with standard deviation if identified) and unit of a machine's parameters."""
+    """List the parameters of a machine: name, value (with standard deviation if identified) and unit."""
     known = machine.uncertainty
     deviations = (
         {} if known is None else dict(zip(known.names, known.covariance.diagonal() ** 0.5, strict=True))

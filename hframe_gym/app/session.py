@@ -44,23 +44,29 @@ class ImportChoices:
 
 @dataclass(frozen=True)
 class Session:
-    """Folder of a session; its files are those of the commands, so that each opens without the window."""
+    """Folder of a session, with the files of the commands; each can be used without the window."""
 
     folder: Path
 
     def create(self) -> None:
-        """Make the folder and that of the logs, unless they exist; an InputError if the folder is a file."""
+        """Create the session's folder and its folder for logs, unless they exist.
+
+        Raise an InputError if the path is a file.
+        """
         if self.folder.exists() and not self.folder.is_dir():
             raise InputError(f"{self.folder}: is a file, but must be the folder of a session")
         (self.folder / LOGS).mkdir(parents=True, exist_ok=True)
 
     def path(self, *parts: str) -> Path:
-        """Return the path of a file in the session, from the names of folders and of the file."""
+        """Return the path of a file in the session's folder."""
         return self.folder.joinpath(*parts)
 
     @property
     def machine(self) -> Machine | None:
-        """The declared machine; None before there is one, an InputError if its file is faulty."""
+        """The declared machine, or None if there is none yet.
+
+        An InputError is raised if its file is faulty.
+        """
         return load_machine(self.path(MACHINE)) if self.path(MACHINE).exists() else None
 
     @property
@@ -77,16 +83,16 @@ class Session:
 
     @property
     def corrected(self) -> str:
-        """Machine for controllers and exports: the corrected one if there is one, relative to the folder."""
+        """File of the machine for controllers and exports, relative to the folder; corrected if it exists."""
         return f"{RESULT}/{MACHINE}" if self.path(RESULT, MACHINE).exists() else MACHINE
 
     @property
     def control(self) -> str:
-        """Folder of the comparisons of controllers on the machine `corrected`, relative to the folder."""
+        """Folder for comparisons of controllers on the machine `corrected`, relative to the session."""
         return control_folder(self.corrected)
 
     def log_path(self, name: str) -> Path:
-        """Return where a log that the user dropped is stored; one of the same name is replaced.
+        """Return the path at which to store a log that the user dropped; it replaces one of the same name.
 
         Args:
             name: Name of the file; folders in it are ignored.
@@ -105,7 +111,7 @@ class Session:
             path.unlink(missing_ok=True)
 
     def use_machine(self, content: bytes) -> Machine:
-        """Store a machine.json that the user dropped, if it is valid, and return the machine.
+        """Store a machine.json that the user dropped, and return its machine.
 
         Raises:
             InputError: If it is faulty; the machine of the session then stays as it was.
@@ -138,13 +144,13 @@ class Session:
         return [["mkdir", f"earlier_{number}", *existing]] if existing else []
 
     def set_aside(self, folder: str, *names: str) -> None:
-        """Move files and folders of the session to a new folder of it."""
+        """Move files and folders of the session to a new folder within it."""
         self.path(folder).mkdir()
         for name in names:
             self.path(name).replace(self.path(folder, name))
 
     def record(self, words: Sequence[str], exit_code: int) -> None:
-        """Append a command to the script of the session; one that failed becomes a comment."""
+        """Append a command to the session's script; a command that failed becomes a comment."""
         script = self.path(SCRIPT)
         text = script.read_text(encoding="utf-8") if script.exists() else _SCRIPT_HEAD
         line = command_text(words) if exit_code == 0 else f"# exit code {exit_code}: {command_text(words)}"
@@ -152,7 +158,7 @@ class Session:
 
 
 def command_text(words: Sequence[str]) -> str:
-    """Write a command, or that of `Session.aside_command`, as the user would type it, in one line."""
+    """Write a command as the user would type it, in one line."""
     line = " ".join(map(quoted, words))
     if words[0] != "mkdir":
         return f"hframe {line}"
@@ -221,7 +227,7 @@ def identify_command(hold_out: Sequence[str], budget: str, force: bool) -> list[
 
 
 def control_folder(machine: str) -> str:
-    """Return the folder of comparisons of controllers on a machine, both relative to the session's folder."""
+    """Return the folder for comparisons of controllers on a machine, relative to the session's folder."""
     return (PurePosixPath(machine).parent / CONTROL).as_posix()
 
 

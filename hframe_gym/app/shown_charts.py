@@ -1,4 +1,4 @@
-"""Charts of curves on a page of the app, which are drawn again with other curves."""
+"""Charts of curves on a page of the app, and their update."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _NO_ZOOM = 24  # pixels of the height below the curves that only a chart with a 
 
 
 def show_curves(curves: Sequence[Curve], description: str, dark: bool) -> ui.echart:
-    """Show curves over time, one below the other; the description is for readers who do not see them."""
+    """Show curves over time, one below the other, with a description as the alternative text."""
     chart = ui.echart(curves_chart(curves, dark=dark)).classes("w-full")
     chart.style(f"height: {height_of(len(curves)) - _NO_ZOOM}px")
     return chart.props(f'role=img aria-label="{html.escape(description)}"')
 
 
 def redraw(chart: ui.echart, options: dict[str, Any]) -> None:
-    """Show a chart with other options."""
+    """Update a chart with new options."""
     chart.options.clear()
     chart.options.update(options)
     chart.update()

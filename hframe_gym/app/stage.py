@@ -18,7 +18,7 @@ State = Literal["", "done", "running", "problem"]
 
 
 class Jobs(Protocol):
-    """What stages need to know of the window: the jobs of all tabs."""
+    """The part of the window that a stage needs: the jobs of all tabs."""
 
     jobs: dict[str, Job]
 
@@ -28,7 +28,7 @@ class Jobs(Protocol):
 
 
 class Tab(Protocol):
-    """What a stage needs of the page that shows it, a `window.Page`."""
+    """The part of a page (`window.Page`) that a stage needs."""
 
     session: Session
     dark: bool
@@ -45,11 +45,11 @@ class Tab(Protocol):
         """Show a stage."""
 
     def changed(self) -> None:
-        """Show all stages anew."""
+        """Show all stages anew, after the session has changed."""
 
 
 class Stage(ABC):
-    """One stage of the loop in one browser tab.
+    """One step of the work, such as "Check", in one browser tab.
 
     Attributes:
         container: Element that holds the stage.
@@ -74,11 +74,11 @@ class Stage(ABC):
 
     @abstractmethod
     def show(self) -> None:
-        """Build what the stage shows between its title and its commands."""
+        """Build the content of the stage, between its title and its commands."""
 
     @abstractmethod
     def state(self) -> State:
-        """Return "done" or "problem" or, before the stage is done, ""."""
+        """Return "done", "problem", or "" if the stage has not been done yet."""
 
     def commands(self) -> list[list[str]]:
         """Return the words after "hframe" of each command of the stage; none if it only shows something."""
@@ -152,7 +152,7 @@ class Stage(ABC):
         self._show_output()
 
     def update_command(self) -> None:
-        """Show the commands that the present choices mean."""
+        """Show the commands that follow from the user's present choices."""
         if self._code is None:
             return
         try:
@@ -162,7 +162,7 @@ class Stage(ABC):
         self._code.set_content(f"<pre>{html.escape(text)}</pre>")
 
     def keep(self, field: Any, attribute: str, read: Callable[[Any], Any]) -> None:
-        """Keep the value of a field in an attribute of the stage, and show the commands that it means.
+        """Store the value of a form field in an attribute of the stage, and update the commands shown.
 
         Args:
             field: Element with a value.
@@ -234,7 +234,7 @@ class Stage(ABC):
 
 
 def banner(tone: Literal["good", "neutral", "warning"], title: str, text: str) -> None:
-    """Show a sentence with a colored edge; its first words, the title, have this color and may be empty."""
+    """Show a sentence with a colored edge, after a title in the same color, which may be empty."""
     strong = f"<b>{html.escape(title)}</b> " if title else ""
     ui.html(strong + html.escape(text), sanitize=False).classes(f"hf-banner hf-{tone}").props("role=status")
 

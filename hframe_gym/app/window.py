@@ -35,7 +35,7 @@ _FILLED = ("#0b69c7", "#1f6fc4")
 
 
 def style_sheet() -> str:
-    """Return the text of the page's style sheet, with the colors of reports."""
+    """Return the text of the page's style sheet, whose colors are those of the reports."""
     light, dark = (
         "".join(f"--{role}: {pair[k]};" for role, pair in COLORS.items()) + f"--filled: {_FILLED[k]};"
         for k in (0, 1)
@@ -46,7 +46,7 @@ def style_sheet() -> str:
 
 
 class Window:
-    """The window of a session; all browser tabs show the same session and each stage's last job, by key."""
+    """The window of a session; all browser tabs show the same session and the last job of each stage."""
 
     def __init__(self, session: Session) -> None:
         self.session = session
@@ -86,7 +86,7 @@ class Page:
         self._bar: Any = None
 
     def build(self) -> None:
-        """Build tabs and stages, and look at the jobs from then on."""
+        """Build tabs and stages, and keep updating them from the jobs."""
         with ui.element("nav").classes("hf-tabs"), ui.tabs() as self._bar:
             self._bar.props("no-caps inline-label mobile-arrows outside-arrows align=left")
             for number, stage in enumerate(self.stages.values(), start=1):

@@ -25,9 +25,9 @@ class Command(TyperCommand):
 
     @override
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
-        """Return the words of the line of usage after the name of the command: "[OPTIONS]" and the arguments.
+        """Return the words of the usage line after the name of the command: "[OPTIONS]" and the arguments.
 
-        Typer writes a required one as "{runs_dir}", which looks like a placeholder that was not filled in.
+        Typer alone writes a required argument as "{runs_dir}", which looks like an unfilled placeholder.
         """
         return [
             piece.replace("{", "").replace("}", "").upper() for piece in super().collect_usage_pieces(ctx)
@@ -43,13 +43,13 @@ class CommandGroup(TyperGroup):
 
     @override
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the command line of the group; without a command, that of `list`."""
+        """Parse the command line of the group; if it names no command, parse it as `list`."""
         rest: list[str] = super().parse_args(ctx, args or ["list"] * ("list" in self.commands))
         return rest
 
     @override
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Find the command of a command line; the user may have named what the command shall show."""
+        """Find the command of a command line; without its name, the words name what to show."""
         name, names = args[0], list(self.commands)
         if "show" in names and name not in names and name[:1] != "-" and not get_close_matches(name, names):
             ctx.fail(
@@ -60,7 +60,7 @@ class CommandGroup(TyperGroup):
 
     @override
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return a command, with its help's paragraphs as single lines, so that these fill the terminal."""
+        """Return a command, with each paragraph of its help as one line, so that it fills the terminal."""
         command = super().get_command(ctx, cmd_name)
         if command is not None and command.help:
             paragraphs = inspect.cleandoc(command.help).split("\n\n")
@@ -83,14 +83,14 @@ class MainGroup(CommandGroup):
 
     @override
     def list_commands(self, ctx: Any) -> list[str]:
-        """Return the names of the commands in the order of the work; others follow."""
+        """Return the names of the commands in the order of the work, then the other ones."""
         order = [name for names in _PANELS.values() for name in names]
         names = super().list_commands(ctx)
         return sorted(names, key=lambda name: order.index(name) if name in order else len(order))
 
     @override
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return a command, with the panel of the help page in which it is listed."""
+        """Return a command, assigned to its panel of the help page."""
         command = super().get_command(ctx, cmd_name)
         if command is not None:
             command.rich_help_panel = next(
@@ -100,7 +100,7 @@ class MainGroup(CommandGroup):
 
 
 class Application(typer.Typer):
-    """Typer application whose commands are of the class `Command` unless another one is given."""
+    """Typer application whose commands are of the class `Command` by default."""
 
     @override
     def command(
@@ -126,10 +126,10 @@ def register_agents() -> None:
 
 
 class CommandWithChoices(Command):
-    """Command whose help texts may contain placeholders of `help_texts.registered_choices`, such as {tasks}.
+    """Command whose help texts may contain placeholders for registered names, such as {tasks}.
 
-    They are replaced when the help is printed, so that no other command waits for the imports of the
-    registries. The option --ray may have no value.
+    The placeholders (`help_texts.registered_choices`) are replaced when the help is printed, so that no other
+    command waits for the imports of the registries. The option --ray may have no value.
     """
 
     @override
@@ -142,7 +142,7 @@ class CommandWithChoices(Command):
 
     @override
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Write the help page, with the names of the registered tasks, controllers etc. for placeholders."""
+        """Write the help page, with registered names in place of the placeholders."""
         with_help = [parameter for parameter in self.params if getattr(parameter, "help", None)]
         texts = [parameter.help for parameter in with_help]  # type: ignore[attr-defined]
         for parameter, text in zip(with_help, texts, strict=True):

@@ -344,7 +344,7 @@ def play(
 
 
 def task_with_path(name: str, path: str | None, unit: AxisUnit) -> Any:
-    """Return the task of the options --task and --path: a task object with the path, or a task's name.
+    """Return the task that the options --task and --path select: its name, or a task object with the path.
 
     Args:
         name: Registered name of the task.
@@ -364,18 +364,15 @@ def task_with_path(name: str, path: str | None, unit: AxisUnit) -> Any:
 
 
 def option_words(**values: str | None) -> str:
-    """Format options as the end of a proposed command line, quoted: " --machine axis --task reach".
-
-    An option whose value is None is left out.
-    """
+    """Format options for a command that a message proposes: " --machine axis --task reach", quoted."""
     return "".join(f" --{name} {quoted(value)}" for name, value in values.items() if value is not None)
 
 
 def training_proposal(machine: str, task: str, randomize: str, period: float) -> str:
-    """Write a line that proposes, after an evaluation, to train an agent with the same settings.
+    """Write a line that proposes a command to train an agent with the settings of an evaluation.
 
-    It names the control period of the recipe if it differs from `period`, s, that of the evaluation. It is
-    empty if the package has no recipe "ppo" for the task.
+    It names the control period if the recipe has another one than `period`, s. It is empty if the package has
+    no recipe "ppo" for the task.
     """
     from ..agents import load_recipe
 

@@ -27,11 +27,11 @@ DATASET = "dataset"  # the kind that `hframe export CONTROLLER` means
 
 
 class ExportGroup(CommandGroup):
-    """Group with a command for each registered exporter; these are imported when the first one is needed."""
+    """Group with a command for each registered exporter; exporters are imported only when needed."""
 
     @override
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the command line; without a kind of export, `hframe export CONTROLLER` writes a data set."""
+        """Parse the command line; `hframe export CONTROLLER`, without a kind of export, writes a data set."""
         if args and args[0] not in ("--help", *self.list_commands(ctx)):
             if not args[0].startswith("-"):
                 _require_controller(args[0], self.list_commands(ctx))

@@ -1,4 +1,4 @@
-"""What `hframe identify` does around the library: a folder's rigs, check before a fit, formulas after it."""
+"""Steps of `hframe identify` around the identification: find rigs, check recordings, propose formulas."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def rig_folders(folder: Path) -> list[Path]:
-    """List the subfolders with recordings, one per rig; none if the folder itself contains some."""
+    """List the subfolders with recordings, one per rig; none if the folder itself contains recordings."""
     from ..recordings import recording_files
 
     if not folder.is_dir() or recording_files(folder):
@@ -29,7 +29,7 @@ def rig_folders(folder: Path) -> list[Path]:
 def require_several_runs(recordings: Sequence[Recording], folder: Path) -> None:
     """Raise an InputError if a folder has only one run; the message says how to cut it into several.
 
-    An identification needs at least two: one is not fitted, but used to verify the result.
+    An identification needs at least two runs: one is held out to verify the result.
     """
     if len(recordings) != 1:
         return
@@ -51,7 +51,7 @@ def check_recordings_before_fit(
     A fault is a finding that is certainly an error in the data, for example a stuck sensor or a wrong sign.
 
     Args:
-        refuse: Folder of the recordings, which the error names. None: faults are only printed.
+        refuse: Folder to name in the error. None: faults are printed, but raise no error.
         log: Called with a line of text for every group of similar faults, and for the number of other
             findings.
 

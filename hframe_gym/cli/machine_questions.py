@@ -31,14 +31,13 @@ _NONE = "none"  # answer to a question that permits several choices
 
 @dataclass(frozen=True)
 class MachineAnswers:
-    """Values of the options of `hframe machines new`; what is not given is empty or missing.
+    """Values of the options of `hframe machines new`; options without a value are empty or missing.
 
     Attributes:
         like: Name of the template.
         out: File to write.
-        given: Values by name in `MachineOptions`; those of `travel` and `mass` are texts with one value per
-            axis, separated by commas, those of `values` texts "PARAMETER=VALUE", SI, those of `sensor` texts
-            "KIND@PART".
+        given: Values by name in `MachineOptions`: for `travel` and `mass` one number per axis, separated by
+            commas, for `values` texts "PARAMETER=VALUE", SI, for `sensor` texts "KIND@PART".
     """
 
     like: str = ""
@@ -51,7 +50,7 @@ class MachineAnswers:
         return dataclasses.replace(self, given={**self.given, option: answer})
 
     def options(self) -> MachineOptions:
-        """Convert the answers to options of `new_machine`; an InputError names a text that does not fit."""
+        """Convert the answers to options of `new_machine`; an InputError names an invalid answer."""
         values = {}
         for text in self.given.get("values", ()):
             parameter, separator, value = text.partition("=")
@@ -65,8 +64,8 @@ class MachineAnswers:
 def create_machine_file(answers: MachineAnswers, force: bool, log: LineLog) -> None:
     """Write a new machine.json from the options of `hframe machines new`, and print the limits of its motion.
 
-    If template and file are given, values that are not given are those of the template. Otherwise, `ask` asks
-    on the terminal for everything that is not given.
+    If the template and the file are given, other values default to those of the template. Otherwise, `ask`
+    asks on the terminal for every missing value.
 
     Raises:
         InputError: If a value is wrong, the file exists and `force` is False, or template or file is missing
@@ -92,17 +91,16 @@ def create_machine_file(answers: MachineAnswers, force: bool, log: LineLog) -> N
 
 
 def file_obstacle(path: Path, force: bool) -> str:
-    """Return why a new machine cannot be written to a file, and what to do; empty if it can."""
+    """Return why a file cannot be written and what to do about it, or "" if it can."""
     if path.suffix != ".json":
         return "must end in .json"
     return "exists already; choose another name" if path.exists() and not force else ""
 
 
 def motion_lines(machine: Machine) -> list[str]:
-    """Describe moved mass, stall force and top speed of rigid motions, in which wrong units show.
+    """Describe moved mass, stall force and top speed along each rigid motion, to reveal wrong units.
 
-    A drive that controls its current or torque has no back-EMF, so that the machine file does not tell a top
-    speed.
+    A drive that controls its current or torque has no back-EMF, so that its top speed is unknown.
     """
     lines = []
     has_speed = any(d.law or d.Ke for d in machine.drives)
@@ -115,9 +113,7 @@ def motion_lines(machine: Machine) -> list[str]:
 
 
 def ask(answers: MachineAnswers, log: LineLog, force: bool = False) -> MachineAnswers:
-    """Ask on the terminal for each option of `hframe machines new` that is not given, also the file.
-
-    Enter accepts the value of the template. After an invalid answer, the question is repeated.
+    """Ask on the terminal for each missing option of `hframe machines new`, including the file.
 
     Args:
         force: Whether the name of an existing file is accepted.

@@ -69,8 +69,8 @@ def print_warning(
 ) -> None:
     """Print a warning as one line on standard error (assigned to `warnings.showwarning`).
 
-    Those of other libraries are left out: they speak of calls that the user did not write. So are warnings of
-    NumPy about numbers that overflow: a search tries machines that diverge, and tells so where it matters.
+    Warnings of other libraries are left out, because they concern calls that the user did not write. So are
+    NumPy's warnings about overflow: a search tries machines that diverge, and reports them where it matters.
     """
     path = Path(filename)
     foreign = "site-packages" in path.parts and not path.is_relative_to(_PACKAGE)
@@ -81,7 +81,7 @@ def print_warning(
 
 @contextmanager
 def collect_warnings() -> Iterator[list[str]]:
-    """Collect the texts of warnings (UserWarning) in the `with` block, for a report, and still print them."""
+    """Collect the texts of all UserWarnings in the `with` block, for a report; they are still printed."""
     texts: list[str] = []
     show = warnings.showwarning
 

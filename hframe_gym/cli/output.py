@@ -15,7 +15,7 @@ console = Console(soft_wrap=True)
 
 
 def log(line: str) -> None:
-    """Print a line of text at once, also if the output is not a terminal, without markup of rich."""
+    """Print a line of text at once, even to a pipe, without interpreting the markup of rich."""
     console.print(plain_text(line), markup=False, highlight=False)
 
 
@@ -63,7 +63,7 @@ class _TolerantStream:
 
 @contextmanager
 def closed_output_tolerated() -> Iterator[None]:
-    """Let the work in a `with` block go on if the output's reader ends, as in `hframe import LOGS | head`."""
+    """Continue the `with` block if the reader of the output has ended, as in `hframe import LOGS | head`."""
     streams = sys.stdout, sys.stderr
     sys.stdout, sys.stderr = _TolerantStream(sys.stdout), _TolerantStream(sys.stderr)
     try:

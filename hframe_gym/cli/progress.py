@@ -60,14 +60,14 @@ def _record_printer() -> Callable[..., None]:
 
 @contextmanager
 def search_progress(log: LineLog) -> Iterator[Callable[[str, float, float], None]]:
-    """Show what a search does in the `with` block: a line at a terminal's bottom, plain lines elsewhere.
+    """Show the progress of a search in the `with` block: at the bottom of a terminal, else as plain lines.
 
     Args:
         log: Called with a line of text, where the output is no terminal, at most once in ten seconds of
             processor time.
 
     Yields:
-        Function of what the search does, the processor time spent and the budget, s.
+        Function to call with the current activity, the processor time spent, s, and the budget, s.
     """
     from ..identification.budget import error_so_far
 
@@ -98,9 +98,9 @@ def search_progress(log: LineLog) -> Iterator[Callable[[str, float, float], None
 
 @contextmanager
 def finishing_on_interrupt(budget: Budget) -> Iterator[None]:
-    """Let the first Ctrl-C in the `with` block end a search with what it found so far; a second one ends all.
+    """Let the first Ctrl-C in the `with` block finish a search with its result so far.
 
-    While no search is in progress, Ctrl-C ends the command as everywhere.
+    A second one ends the command.
     """
     previous = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or not callable(previous):

@@ -45,10 +45,10 @@ class Controller(ABC):
             controller cannot run from sensors. "estimated_state": the full state, which `StateEstimator`
             supplies where the environment observes sensors only. "observation": whatever the environment
             observes.
-        knowledge: For what it uses the machine from which it is designed, a few words for the leaderboard
-            (class attribute). A planner with the true parameters of a draw says so.
-        files: Files besides its source that determine what it does, such as weights. They count as learned.
-        set_points: Whether it commands drives that follow set points, which no other controller does (class
+        knowledge: What the controller knows of the machine, in a few words for the leaderboard (class
+            attribute), for example that a planner has the true parameters of an episode.
+        files: Files besides its source that determine its actions, such as trained weights.
+        set_points: Whether its actions are set points of drives that follow these, not voltages (class
             attribute).
 
     Raises:
@@ -75,7 +75,7 @@ class Controller(ABC):
         """
 
     def concern(self) -> str | None:
-        """Return a sentence for a warning if this controller cannot be expected to work on its machine."""
+        """Return a warning if the controller cannot be expected to work on its machine, else None."""
         return None
 
     def replace_last_action(self, actions: Actions) -> None:  # noqa: B027  (optional)
@@ -90,25 +90,25 @@ CONTROLLERS: Registry[type[Controller]] = Registry("controller")
 
 
 def suited_controllers(machine: Machine) -> tuple[str, ...]:
-    """Return the controllers whose commands a machine's drives take, the one to try first in front."""
+    """Return the names of controllers that can command a machine's drives, the recommended one first."""
     return tuple(n for n in CONTROLLERS if CONTROLLERS.get(n).set_points == bool(machine.drive_laws))
 
 
 class EpisodeStarts:
-    """Record by `mask`, empty before the first `resize`, which machines start a new episode next."""
+    """Record of the machines that start a new episode next, in `mask`, which is empty before `resize`."""
 
     def __init__(self) -> None:
         self.mask: Mask = np.zeros(0, np.bool_)
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Mark machines, or all if None, as starting a new episode next; those marked earlier stay marked."""
+        """Mark machines (None: all) as starting a new episode next, in addition to those marked before."""
         if mask is None:
             self.mask = np.zeros(0, np.bool_)  # so that the next `resize` marks all machines
         elif len(self.mask):
             self.mask = self.mask | mask
 
     def resize(self, count: int) -> bool:
-        """Set the number of machines; if it changes, mark all as starting a new episode, and return True."""
+        """Set the number of machines. If it changes, mark all as starting a new episode and return True."""
         if len(self.mask) == count:
             return False
         self.mask = np.ones(count, np.bool_)

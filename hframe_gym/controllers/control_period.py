@@ -16,7 +16,7 @@ SAMPLES_PER_MODE = 4.0
 
 
 def check_period(period: float) -> float:
-    """Return the control `period`, s; an InputError refuses one outside the limits of the design."""
+    """Return the control `period`, s; raise an InputError if it is not between 1e-5 s and 10 s."""
     if not SHORTEST_PERIOD <= period <= LONGEST_PERIOD:
         limits = f"{SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} s"
         raise InputError(f"period is {period!r}, it must be a positive number of seconds from {limits}")
@@ -38,7 +38,7 @@ def shorter_period(machine: Machine, period: float) -> float | None:
 
 
 def period_concern(machine: Machine, period: float) -> str | None:
-    """Return a warning with what `shorter_period` suggests in place of `period`, s; None if nothing."""
+    """Return a warning that proposes a shorter control period than `period`, s, or None if it suffices."""
     shorter = shorter_period(machine, period)
     if shorter is None:
         return None

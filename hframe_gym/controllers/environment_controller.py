@@ -14,14 +14,14 @@ from .base import Controller, Feedback
 
 
 class Format(Protocol):
-    """Form of an environment's observations; `ObservationFormat` of hframe_gym.envs implements it."""
+    """Format of an environment's observations; `ObservationFormat` of hframe_gym.envs implements it."""
 
     def restore(self, observation: Any) -> dict[str, NDArray[np.float32]]:
         """Convert n observations to arrays by key, m, rad, m/s and rad/s, shape (n, entries of the key)."""
 
 
 class EnvironmentController(Controller):
-    """Controller that reads the observations of one environment, or of a vector, as they are returned.
+    """Adapter that lets a controller read the observations of an environment as `step` returns them.
 
     It undoes the options `normalize`, `flat` and `error`. An observation without batch axis is that of one
     machine.

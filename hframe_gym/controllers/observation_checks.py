@@ -26,7 +26,7 @@ _ADVICE = (
 
 
 def check_keys(observation: Any) -> None:
-    """Raise an InputError if an observation is one array, as with `flat`, or lacks the batch axis."""
+    """Raise an InputError if an observation is a flat array, not arrays by key, or has no batch axis."""
     if not isinstance(observation, Mapping):
         raise InputError(f"observation is one array of shape {np.shape(observation)}, not a dict: {_ADVICE}")
     if observation["observation"].ndim == 1:
@@ -37,16 +37,15 @@ def check_keys(observation: Any) -> None:
 
 
 def check_state_units(observation: KeyedObservation, model: MotionModel) -> None:
-    """Check that a full-state observation is not normalized: its angles fit the tool position.
+    """Check that a full-state observation is in SI units: its angles must fit the tool position.
 
-    Where the tool is more than `LARGEST_STRETCH` of belt travel away from the place where all angles are
-    zero, at least one pulley has turned by more than `LARGEST_NORMALIZED`, unless angles and positions are
-    fractions of their ranges.
+    A tool more than `LARGEST_STRETCH` of belt travel from where all angles are zero has turned some pulley by
+    more than `LARGEST_NORMALIZED`. Otherwise the observation is normalized to fractions of the ranges.
 
     Only observations of environments, which have `achieved_goal`, are checked.
 
     Raises:
-        InputError: If they do not fit; the message names the values.
+        InputError: If angles and position do not fit; the message names the values.
     """
     if "achieved_goal" not in observation:
         return
@@ -76,14 +75,14 @@ def check_state_units(observation: KeyedObservation, model: MotionModel) -> None
 
 
 def check_goal_units(observation: KeyedObservation, machine: Machine) -> None:
-    """Check that an observation's goals are in m or rad and not normalized: they lie in the workspace.
+    """Check that goals and positions are in m or rad, not normalized: they must lie in the workspace.
 
-    A real axis may overshoot its workspace: a position may be outside it by up to half its length, and one
-    that no normalization gives is not judged. Only observations of environments, which have `achieved_goal`,
-    are checked.
+    A real axis may overshoot: a position may lie outside by up to half the workspace's length. Positions too
+    far away to be normalized ones are not checked. Only observations of environments, which have
+    `achieved_goal`, are checked.
 
     Raises:
-        InputError: If a goal is outside the workspace, or a position is as if it were normalized.
+        InputError: If a goal is outside the workspace, or a position looks normalized.
     """
     for key in ("achieved_goal", "desired_goal") if "achieved_goal" in observation else ():
         columns = np.asarray(observation[key]).T

@@ -34,7 +34,7 @@ class Estimator(Protocol):
         """Estimate the state at new `measurements`, one per sensor, m or rad, shape (B, channels)."""
 
     def send(self, volts: Volts) -> None:
-        """Record the commanded voltages of the period that starts now, from which `update` predicts."""
+        """Store the voltages commanded for the period that starts now; `update` predicts with them."""
 
     def replace_last(self, volts: Volts) -> None:
         """Replace the voltages that `send` stored last with the voltages that were actually applied."""

@@ -19,26 +19,29 @@ Policy = Callable[[Any], Any]
 
 
 class PolicyForm(Protocol):
-    """Form of an environment's observations; `ObservationFormat` of hframe_gym.envs implements it."""
+    """Format of a policy's observations; `ObservationFormat` of hframe_gym.envs implements it."""
 
     @property
     def sizes(self) -> Mapping[str, int]:
-        """Numbers of entries of the arrays, before `apply`, by key."""
+        """Number of entries of each observed array, by key."""
 
     def apply(self, observation: dict[str, NDArray[np.float32]]) -> Any:
-        """Convert an `observation` by key, m, rad, m/s and rad/s, shape (n, entries of the key) each."""
+        """Convert an `observation`, arrays by key in SI units, to the policy's format.
+
+        Each array has the shape (n, entries of the key).
+        """
 
 
 class PolicyController(Controller):
-    """Controller that applies a function of observations in the form of an environment.
+    """Controller that applies a policy of any library, given as a function of observations.
 
     Args:
-        policy: Function of n observations, with a first axis of n, that returns actions, shape (n, drives).
-            If it has a method `reset(mask)`, that clears its memory of machines that start a new episode next
-            (None: of all).
-        form: Form in which the policy observes.
+        policy: Function of n observations, with a first axis of n, that returns actions, shape (n, drives). A
+            policy with a memory has a method `reset(mask)`, called for machines that start a new episode next
+            (None: all).
+        form: Format of the policy's observations.
         period: Control period, s.
-        full_state: Whether it observes the full state instead of sensors.
+        full_state: Whether the policy observes the full state instead of sensors.
     """
 
     feedback: ClassVar[Feedback] = "observation"

@@ -64,8 +64,8 @@ def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[
     The checks cover the clock, the timing of the voltages, the rest before the motion, the sensors (noise,
     outliers, wrapped, empty, stuck or clipped channels), the wiring (signs, swapped channels, units, gear
     ratios), starts from rest against a command, the excitation, and the precision with which parameters can
-    be estimated. A run that is too short to be used is advice, and not checked. If the
-    times of a run appear to be in milliseconds, only this is reported.
+    be estimated. A run that is too short gets one finding of severity "advice" and no checks. If the times of
+    a run appear to be in milliseconds, only this is reported.
 
     Returns:
         Findings (severity, run, channel, message) sorted by severity: faults first, then advice, then notes.

@@ -52,8 +52,9 @@ def channel_unit(channel: str, machine: Machine) -> str:
     """Return the unit in which messages state the values of a channel.
 
     Returns:
-        The unit of the drive's command or of the sensor. The end of the name takes its place where the kind
-        does not tell: "A" or "Nm" for a drive of the kind "voltage", "m" or "rad" for a sensor of positions.
+        The unit of the drive's command or of the sensor. Where the kind does not determine it, the end of the
+        channel's name does: "A" or "Nm" for a drive of the kind "voltage", "m" or "rad" for a sensor of
+        positions.
     """
     ending = channel.rpartition("_")[2]
     if channel in machine.input_channels:
@@ -66,7 +67,7 @@ def channel_unit(channel: str, machine: Machine) -> str:
 
 
 def command_in_words(value: float, drive: Drive, machine: Machine) -> str:
-    """Return a command of a drive in words, in the unit of its channel.
+    """Format a drive's command with its unit, as its channel has it, for a message.
 
     Args:
         value: Command as in `Recording.inputs`, in the unit of simulations: V, A, Nm, or that of a set point.
@@ -127,7 +128,10 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
 
 
 def refuse_faults(findings: Sequence[Finding], folder: Path) -> None:
-    """Raise an InputError if there are faults, with file, channel and message of each, and --force."""
+    """Raise an InputError if there is a fault.
+
+    The message lists each with file and channel, and names --force.
+    """
     faults = [finding for finding in findings if finding.severity == "fault"]
     if not faults:
         return

@@ -127,7 +127,7 @@ def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
 
 
 def findings_of_bounds(bounds: Sequence[CramerRaoBound]) -> list[Finding]:
-    """Report bounds of parameters: alone, or together those without influence and the undetermined ones.
+    """Report the bound of each parameter; parameters without influence, or undetermined, get one finding.
 
     Args:
         bounds: Bounds of parameters that are estimated jointly.

@@ -13,9 +13,9 @@ from .findings import Finding, channel_unit
 
 
 def check_input_noise(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
-    """Report, as advice, each current or torque of a run that changes from row to row like noise.
+    """Report, as advice, measured currents and torques that change from row to row like noise.
 
-    Voltages are commands as a rule, and a command may be random by intention.
+    Voltages are not checked: they are usually commands, which may be random on purpose.
     """
     findings = []
     for recording in recordings:

@@ -71,10 +71,10 @@ class _Signs(NamedTuple):
 def check_signs_of_runs(runs: Sequence[PreparedRecording], machine: Machine) -> list[Finding]:
     """Report coordinates that move against their drives in some runs and with them in others.
 
-    It is a fault if the changes of the voltages within the runs tell it as well; otherwise advice, since a
-    load may move the coordinate. Currents and torques have no findings, since they may brake a load
-    throughout; nor have machines with belts, since other motors move a coordinate as well, and those with a
-    drive whose force is not in proportion to its command.
+    It is a fault if the changes of the voltages within the runs confirm the sign; otherwise advice, since a
+    load may move the coordinate. Three cases are not checked: currents and torques, which may brake a load
+    throughout; machines with belts, where other motors move a coordinate as well; and drives whose force is
+    not in proportion to their command.
 
     Args:
         runs: Runs prepared for a fit.

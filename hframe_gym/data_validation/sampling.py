@@ -166,7 +166,7 @@ def sampling_rate(recordings: Sequence[Recording]) -> Finding:
 
 
 def overlapping_clocks(recordings: Sequence[Recording]) -> list[Finding]:
-    """Report, in one note, that the times of runs overlap: the clock restarted with each run.
+    """Report, in one note, that the times of the runs overlap because the clock restarted with each run.
 
     Identification can find a drift (a slow change from run to run) only if all runs have a common clock.
     """
@@ -182,7 +182,7 @@ def overlapping_clocks(recordings: Sequence[Recording]) -> list[Finding]:
 
 
 def slow_sensors(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
-    """Report channels whose sensor measures less often than rows are logged, so that rows repeat values."""
+    """Report sensors that measure less often than rows are logged, so that rows repeat their values."""
     findings = []
     for j, channel in enumerate(machine.output_channels):
         counts = {r.name: count for r in recordings if (count := repetitions(r.outputs[:, j])) > 1.0}
@@ -196,15 +196,15 @@ def slow_sensors(recordings: Sequence[Recording], machine: Machine) -> list[Find
 
 
 def check_input_timing(data: Dataset, machine: Machine) -> list[Finding]:
-    """Report voltages that are logged one row late: one row earlier, they explain the motion clearly better.
+    """Report voltages that seem to be logged one row late: earlier ones explain the motion clearly better.
 
     The machine's parameters are fitted twice, with the voltages as logged and with the voltages of the next
     row. Of the runs with at most 20,000 rows, the three with the largest changes of the voltages are used.
-    The finding is a fault only if measurements depend on the voltage of their row, which is impossible if
-    this voltage acts from the time of the row on; if they do so as strongly as on a voltage that acts for a
-    whole row; and if the shifted voltages explain the motion, or those of the own row at least a tenth of
-    what previous rows do not predict. Otherwise it is advice, because a force or a mass that the machine
-    lacks can also make the shifted voltages fit better.
+    The finding is a fault only if three conditions hold: measurements depend on the voltage of their row,
+    which is impossible if this voltage acts from the time of the row on; they do so as strongly as on a
+    voltage that acts over an entire row; and the shifted voltages explain the motion, or the row's voltages
+    explain at least a tenth of what previous rows do not predict. Otherwise it is advice, because a force or
+    a mass that the machine lacks can also make the shifted voltages fit better.
 
     Returns:
         One finding (fault or advice) about all runs together if the second fit has less than 70 % of the
@@ -249,8 +249,8 @@ def check_voltages_between_rows(data: Dataset, machine: Machine) -> list[Finding
     """Report voltages that change between the rows, because the controller is faster than the log.
 
     Returns:
-        One finding of severity "advice" about all runs together, or none; see `voltage_updates`. None as well
-        if all runs have more than 20,000 rows.
+        One finding of severity "advice" about all runs together, or none; see `voltage_updates`. There is
+        also none if all runs have more than 20,000 rows.
     """
     runs = _with_largest_changes(data)
     if not runs.runs:

@@ -21,9 +21,9 @@ MIN_ROWS = 10  # rows that a correlation or slope needs
 
 @dataclasses.dataclass(frozen=True)
 class SpanMotion:
-    """Measured and simulated motion over short spans of time of one length, of all runs together.
+    """Measured and simulated changes over short time spans of equal length, of all runs together.
 
-    A change over a span is the mean speed times the length of the span, so that ratios of changes are those
+    A change over a span is the mean speed times the length of the span, so that ratios of changes are ratios
     of speeds.
 
     Attributes:
@@ -39,11 +39,14 @@ class SpanMotion:
     run: NDArray[np.int_]
 
     def speed_ratio(self, sensor: int) -> float:
-        """Return the ratio of measured to simulated speed of a sensor, root mean square; 0 without motion."""
+        """Return the ratio of measured to simulated speed of a sensor (root mean squares).
+
+        0 without motion.
+        """
         return self._ratio(np.isfinite(self.measured[:, sensor]), sensor)
 
     def speed_ratios_by_run(self, sensor: int) -> list[float]:
-        """Return the same ratio for each run in which the simulated machine moves."""
+        """Return `speed_ratio` of a sensor for each run in which the simulated machine moves."""
         finite = np.isfinite(self.measured[:, sensor])
         ratios = (self._ratio(finite & (self.run == run), sensor) for run in np.unique(self.run))
         return [ratio for ratio in ratios if ratio]
@@ -56,7 +59,7 @@ class SpanMotion:
 
 
 def span_motion(data: Dataset, machine: Machine) -> SpanMotion:
-    """Return measured and simulated motion over short spans."""
+    """Simulate the runs over short time spans, for comparison with the measured motion."""
     parts = []
     for i, run in enumerate(map(_first_rows, data.runs)):
         span = comparison_window(run.outputs, run.time_s, _WINDOW)
@@ -108,7 +111,9 @@ def _simulate_outputs(machine: Machine, run: PreparedRecording) -> Array:
 
 
 def correlation(a: Array, b: Array) -> float:
-    """Return the correlation about zero, not about the means: a constant speed has a sign too.
+    """Return the correlation of two motions about zero instead of their means.
+
+    A constant speed counts too.
 
     Args:
         a: Motion, in any unit, shape (n,).

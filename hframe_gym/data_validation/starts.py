@@ -41,11 +41,11 @@ class Start(NamedTuple):
 
 
 def check_starts(recordings: Sequence[Recording], data: Dataset, machine: Machine) -> list[Finding]:
-    """Report runs in which a coordinate starts from rest against its drives in half of its starts or more.
+    """Report runs in which at least half of a coordinate's starts from rest are against its drives.
 
     It is a fault for voltages and duty cycles. For currents and torques it is advice, because a brake that
-    opens lets a weight sink against the torque. Machines with belts have no findings, since other motors move
-    a coordinate as well, nor have those with a drive whose force is not in proportion to its command.
+    opens lets a weight sink against the torque. Two cases are not checked: machines with belts, where other
+    motors move a coordinate as well, and drives whose force is not in proportion to their command.
 
     Args:
         recordings: Runs without outliers in which something moves, at least one.
@@ -90,18 +90,19 @@ def check_starts(recordings: Sequence[Recording], data: Dataset, machine: Machin
 def starts_from_rest(
     time_s: Times, force: Array, values: Array, resting: float, moving: float
 ) -> Iterator[Start]:
-    """Yield the starts of a run from a rest without force.
+    """Yield the starts of motion in a run, each from a rest without drive force.
 
-    Until the motion has reached its size, the force never changes its sign. The rest has lasted at least as
-    long as that took, so that no slow motion from before passes for a start, and nothing moved the other way
-    since the force began: a wheel that is stopped may spring back.
+    A start counts if three conditions hold: the force does not change its sign until the motion has reached
+    the size `moving`; the rest before it has lasted at least as long as this, so that no slow motion from
+    before passes for a start; and nothing moved the other way since the force began, because a wheel that is
+    stopped may spring back.
 
     Args:
         force: Force of the drives, N or Nm, shape (n,).
         values: Positions or speeds in the direction of the force, m, rad, m/s or rad/s, NaN where not
             measured, shape (n,).
         resting: Largest change of the values at rest, in their unit.
-        moving: Change of the values that is a motion, in their unit, more than `resting`.
+        moving: Smallest change of the values that counts as a motion, in their unit, more than `resting`.
     """
     idle = np.concatenate([[False], force == 0.0, [False]]).astype(int)
     last = -1  # row in which the previous start reached its size

@@ -41,10 +41,9 @@ def stuck_outputs(recordings: Sequence[Recording], machine: Machine) -> list[Fin
     - Its drive pushes the coordinate in both directions with several times the friction force. This reason
       counts only if no other channels determine the motion of the coordinate, and for machines without belts.
 
-    The finding is a fault, with two exceptions, in which it is advice: for the third reason, because the
-    drive may have been off; and if a sensor with a fixed zero (no incremental encoder) stays at the smallest
-    or largest value of all runs, because it may have reached the end of its range. Identification leaves out
-    measurements at such an end.
+    The finding is a fault, but advice in two cases: for the third reason, because the drive may have been
+    off; and if a sensor with a fixed zero (no incremental encoder) stays at the smallest or largest value of
+    all runs, which may be the end of its range. Identification leaves out measurements at such an end.
 
     Returns:
         At most one finding for each run and channel, about the longest interval in which it is stuck.

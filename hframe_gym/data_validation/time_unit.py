@@ -19,7 +19,7 @@ _CLOCK_TOLERANCE = 1.6
 
 
 def check_time_unit(data: Dataset, balance: Balance | None) -> list[Finding]:
-    """Report times in a wrong unit.
+    """Report times in a wrong unit, which inertia and viscous friction reveal together.
 
     With times too large by f, the motion requires f^2 times the inertia and f times the viscous friction. A
     wrong unit of a position or a wrong gain changes both by the same factor.

@@ -31,8 +31,8 @@ _TIE = 0.02  # corrections that differ by less are equally likely
 def sensor_motions(machine: Machine) -> Array:
     """Return how much each sensor's measurement changes per unit of each rigid motion.
 
-    A rigid motion stretches no belt: a carriage moves, and the pulleys follow, or two inertias on an elastic
-    shaft turn together. Without belts, one coordinate moves.
+    In a rigid motion no belt stretches: a carriage moves and the pulleys follow, or two inertias on an
+    elastic shaft turn together. Without belts, one coordinate moves.
 
     Returns:
         Change of each measurement, m or rad, per m or rad of the coordinate that leads the motion (for
@@ -116,7 +116,10 @@ def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
 
 
 def declared_balance(data: Dataset, machine: Machine) -> Balance | None:
-    """Return the declared wiring's balance of forces in the most explained window; None without motion."""
+    """Return the balance of forces for the wiring as declared, in the time window that it explains best.
+
+    None without motion.
+    """
     declared, _ = _explanations(data.runs, machine)
     return declared.balance if declared else None
 

@@ -28,8 +28,8 @@ class Stage(ABC, Generic[Tensor]):
         longest_step: Largest step of the integrator, s; the default is that of the environments.
         end_stops: Whether the tool hits end stops at the edges of the workspace, as in the environments.
             Their stiffness counts as constant in the derivatives.
-        friction: Derivative where static friction holds a coordinate or a coordinate stops: "exact" for that
-            of the motion, "smoothed" or "sliding" so that voltages count that do not overcome friction
+        friction: Derivative where friction holds or stops a coordinate: "exact" for the true one, which is 0
+            for a voltage that does not overcome friction; "smoothed" or "sliding" for one that is not
             (docs/differentiable.md).
         parallel: Whether to distribute the machines of a batch over the processor's cores.
 
@@ -77,7 +77,7 @@ class Stage(ABC, Generic[Tensor]):
         self._tool = tool_terms(machine) if machine.tool_axes else None
 
     def check_library(self) -> None:
-        """Check that the library computes in float64, else raise an InputError; constructors call it."""
+        """Raise an InputError unless the library computes in float64; constructors call it."""
 
     @staticmethod
     @abstractmethod
@@ -117,7 +117,10 @@ class Stage(ABC, Generic[Tensor]):
         return self.from_numpy(states)
 
     def column(self, name: str) -> int:
-        """Return the index in `parameter_names` of "x.mass", for example; an InputError if there is none."""
+        """Return the index of a parameter, such as "x.mass", in `parameter_names`.
+
+        Raise an InputError if it is unknown.
+        """
         if name not in self.parameter_names:
             tied = self.machine.ties.get(name)
             reason = (
@@ -127,7 +130,7 @@ class Stage(ABC, Generic[Tensor]):
         return self.parameter_names.index(name)
 
     def with_end_stops(self, parameters: Array) -> Array:
-        """Return `parameters` of machines, SI, shape (B, P), with those of end stops, (B, P or more)."""
+        """Append the parameters of the end stops, if any, to `parameters`, SI, shape (B, P)."""
         return self._stops.parameters(parameters) if self._stops else parameters
 
     def checked(
@@ -161,7 +164,10 @@ class Stage(ABC, Generic[Tensor]):
                 )
 
     def check_finite(self, states: Array) -> None:
-        """Raise NotFiniteError (time, coordinate) unless `states`, SI, shape (B, T + 1, S), are finite."""
+        """Raise a NotFiniteError unless all entries of `states`, SI, shape (B, T + 1, S), are finite.
+
+        The error names the time and the coordinate.
+        """
         diverged = ~(np.abs(states) < DIVERGED)
         if diverged.any():
             b, k, entry = map(int, np.argwhere(diverged)[0])
@@ -179,7 +185,7 @@ class Stage(ABC, Generic[Tensor]):
         earlier: Array | None = None,
         start_time: float = 0.0,
     ) -> Motions:
-        """Simulate, and check that the motions stay finite.
+        """Simulate a batch of machines, and raise an error if a motion diverges.
 
         Args:
             start: First states, SI, shape (B, S).

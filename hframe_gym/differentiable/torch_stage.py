@@ -36,11 +36,11 @@ class DifferentiableStage(Stage[torch.Tensor]):
     @staticmethod
     @override
     def from_numpy(values: Array) -> Tensor:
-        """Convert an array of NumPy to a tensor, which shares its memory."""
+        """Convert a NumPy array to a tensor that shares its memory."""
         return torch.from_numpy(values)
 
     def parameters(self, changes: Mapping[str, Any], *, batch: int = 1) -> Tensor:
-        """Return the parameters of B machines, some of them replaced by tensors that may require gradients.
+        """Return the parameters of B machines, with some values replaced by those in `changes`.
 
         Args:
             changes: Value of each changed parameter by name, SI: number, or tensor of shape () or (B,).
@@ -111,7 +111,7 @@ class DifferentiableStage(Stage[torch.Tensor]):
         earlier: Tensor | None = None,
         start_time: float = 0.0,
     ) -> Tensor:
-        """Simulate one period, for voltages that depend on the state: a policy or a controller.
+        """Simulate one period, for a policy or controller whose voltages depend on the state.
 
         Args:
             state: States, SI, shape (B, S).
@@ -127,7 +127,7 @@ class DifferentiableStage(Stage[torch.Tensor]):
         return states[:, 1]
 
     def readings(self, states: Tensor, parameters: Tensor | None = None) -> Tensor:
-        """Compute readings, in the sensors' units, shape (B, n, sensors), without noise and delay of sensors.
+        """Compute the sensors' readings without noise and delay, in their units, shape (B, n, sensors).
 
         Args:
             states: States, SI, shape (B, n, S).
@@ -138,7 +138,7 @@ class DifferentiableStage(Stage[torch.Tensor]):
         return result
 
     def tool_positions(self, states: Tensor) -> Tensor:
-        """Return positions of the tool, if any, m, shape (..., axes), in `states`, SI, shape (..., S)."""
+        """Return the tool positions, m, shape (..., axes), at `states`, SI, shape (..., S)."""
         if self._tool is None:
             raise InputError(
                 f"machine {self.machine.name!r} declares no tool_axes; use the states themselves"

@@ -29,7 +29,7 @@ def _torque(V, q, N, holding_torque, periods):  # type: ignore[no-untyped-def]
 
 @DRIVE_KINDS.register("stepper")
 class StepperDrive(DriveKind):
-    """A stepper motor, whose command is the position of its coordinate that its steps give, m or rad."""
+    """A stepper motor whose steps command the position of its coordinate, m or rad."""
 
     command = "position"
     fixed: ClassVar[Mapping[str, float]] = {"Kt": 1.0, "Ke": 0.0, "resistance": 1.0}
@@ -53,5 +53,5 @@ class StepperDrive(DriveKind):
     @classmethod
     @override
     def largest_jump(cls, gear_ratio: float, law_parameters: Mapping[str, float]) -> float:
-        """Return half a full step: the torque of the rotor's error is then 0.7 of the largest one."""
+        """Return half a full step, for which the torque is 0.7 of the holding torque."""
         return math.pi / 4.0 / (law_parameters["periods"] * gear_ratio)

@@ -56,7 +56,7 @@ def _program(machine: Machine, friction: Friction) -> _Program:
 
 @dataclass(frozen=True)
 class Motions:
-    """Motions of B machines over T equal periods; what is needed to differentiate them is kept.
+    """Motions of B machines over T equal periods, with all that their derivatives need.
 
     Attributes:
         states: States at the beginning and at the end of every period, SI, shape (B, T + 1, S): positions,
@@ -76,12 +76,13 @@ class Motions:
 
 @dataclass(frozen=True)
 class Gradients:
-    """Derivatives of one number with respect to what determines the motions of B machines, per SI unit.
+    """Derivatives of one number, such as a cost, that depends on the motions of B machines, per SI unit.
 
     Attributes:
-        start: By the first states, shape (B, S).
-        inputs: By the voltages, those of earlier periods first, 1/V, shape (B, earlier + T, drives).
-        parameters: By the parameters, shape (B, P); zero if they were left out.
+        start: With respect to the first states, shape (B, S).
+        inputs: With respect to the voltages, those of earlier periods first, 1/V, shape (B, earlier + T,
+            drives).
+        parameters: With respect to the parameters, shape (B, P); zero if they were not requested.
     """
 
     start: Array
@@ -210,13 +211,14 @@ class DifferentiableMotion:
     def gradients(
         self, motions: Motions, by_states: Array, *, by_parameters: bool = True, parallel: bool = True
     ) -> Gradients:
-        """Compute the derivatives of a number from its derivatives with respect to the states of motions.
+        """Compute the gradients of a number, such as a cost, by the chain rule.
 
         Args:
-            by_states: Derivatives by the states, per SI unit, shape (B, T + 1, S).
+            by_states: Derivatives of the number with respect to the states, per SI unit, shape (B, T + 1, S).
 
         Returns:
-            The derivatives by the first states, shape (B, S), voltages and parameters, shape (B, P).
+            Its derivatives with respect to the first states, shape (B, S), voltages and parameters, shape (B,
+            P).
         """
         states, inputs, parameters = motions.kernel_states, motions.inputs, motions.parameters
         batch, count = len(states), self._count
@@ -287,16 +289,17 @@ class DifferentiableMotion:
     def readings_gradients(
         self, states: Array, parameters: Array, by_readings: Array, *, parallel: bool = True
     ) -> tuple[Array, Array]:
-        """Compute the derivatives of a number from those with respect to the readings of the sensors.
+        """Compute the gradients of a number that depends on sensor readings, by the chain rule.
 
         Args:
             states: States, SI, shape (B, N, S).
             parameters: Parameters, SI, shape (B, P).
-            by_readings: Derivatives by the readings, 1/m or 1/rad, shape (B, N, sensors).
+            by_readings: Derivatives of the number with respect to the readings, 1/m or 1/rad, shape (B, N,
+                sensors).
 
         Returns:
-            states: Derivatives by the states, shape (B, N, S).
-            parameters: Derivatives by the parameters, shape (B, P).
+            states: Derivatives with respect to the states, shape (B, N, S). parameters: Derivatives with
+                respect to the parameters, shape (B, P).
         """
         parameters = np.ascontiguousarray(parameters, dtype=np.float64)
         units = self._units(parameters)[:, None, : self._count]
@@ -318,9 +321,9 @@ class DifferentiableMotion:
         return by_states, of_parameters
 
     def travel_per_unit(self, parameters: Array) -> Array:
-        """Return each pulley's radius, m/rad, or 1 if linear, for `parameters`, SI, shape (B, P).
+        """Return the belt travel per position, shape (B, coordinates), for `parameters`, SI, shape (B, P).
 
-        The shape is (B, coordinates); it is the belt travel per position.
+        It is a pulley's radius, m/rad, and 1 for a linear coordinate.
         """
         units = np.ones((len(parameters), self._count))
         for i, (column, factor) in self._radii.items():

@@ -1,3 +1,3 @@
-"""The functions of `symbolic.elementwise` under the name by which effects, also users', import them."""
+"""The functions of `symbolic.elementwise`, under a shorter name from which effects import them."""
 
 from .symbolic.elementwise import *  # noqa: F403 - its __all__ is the list

@@ -79,12 +79,12 @@ def net_forces(
 
 
 class KnownMotion:
-    """A motion along which the forces of a machine are evaluated with several effects, one after the other.
+    """A given motion, along which the forces of a machine with different additional effects are evaluated.
 
-    What an effect leaves as it is, such as the forces of linear belts, is computed once.
+    What does not depend on these effects, such as the forces of linear belts, is computed once.
 
     Args:
-        equations: Equations of the machine without these effects.
+        equations: Equations of the machine without the additional effects.
         time_s: Sample times, s, shape (N,).
         positions: Positions, m or rad, shape (N, coordinates).
         velocities: Velocities, m/s or rad/s, shape (N, coordinates).
@@ -122,7 +122,7 @@ class KnownMotion:
         return np.stack(np.broadcast_arrays(*self.by_coordinate(equations)), axis=-1)
 
     def by_coordinate(self, equations: Equations) -> list[Array]:
-        """Return the same forces coordinate by coordinate, shape (variants, N) only where they differ.
+        """Return what `forces` does as a list by coordinate, with an axis of variants only where they differ.
 
         Args:
             equations: As in `forces`.
@@ -213,7 +213,7 @@ def sensor_readings(
 
 
 def ohmic_currents(machine: Machine, velocities: Array, inputs: Array) -> Array:
-    """Return the drives' currents by Ohm's law just before each sample, without effects and delays.
+    """Return the drives' currents by Ohm's law just before each sample, without inductance and delays.
 
     Args:
         machine: Machine; its effects on the voltage are included.
@@ -233,7 +233,7 @@ def ohmic_currents(machine: Machine, velocities: Array, inputs: Array) -> Array:
 def law_torques(
     machine: Machine, time_s: Times, positions: Array, velocities: Array, inputs: Inputs
 ) -> Array:
-    """Return the torques of the motor shafts by the drives' laws along a motion, without effects, Nm.
+    """Return the torques that drives with a law, such as servos, exert along a motion, without effects, Nm.
 
     Args:
         positions: Positions, m or rad, shape (N, coordinates).
@@ -286,7 +286,9 @@ def delayed_voltages(equations: Equations, time_s: Times, inputs: Inputs) -> lis
 def effect_states(
     equations: Equations, time_s: Times, positions: Array, velocities: Array, voltages: Sequence[Array]
 ) -> dict[int, Array]:
-    """Integrate the states of effects (bristle deflection, motor current, ...) along a motion, from zero.
+    """Integrate the internal states of effects (bristle deflection, motor current, ...) along a motion.
+
+    The states start at zero.
 
     Args:
         positions: Positions, m or rad, shape (N, coordinates).
@@ -296,8 +298,8 @@ def effect_states(
 
     Returns:
         State of every effect that has one, SI, shape (N,) or (variants, N), by index in
-        `equations.instances`. The state is that at each sample; for an effect on a motor current, it is the
-        mean from the sample to the next, because the current varies while the voltage is held.
+        `equations.instances`. States are those at the samples; a motor current is the mean from a sample to
+        the next, because it varies while the voltage is held.
     """
     states: dict[int, Array] = {}
     for k in equations.states:

@@ -35,10 +35,7 @@ class NotFiniteError(ArithmeticError):
 
 
 def threads() -> int:
-    """Return the number of threads of a batch's simulation: `$HFRAME_THREADS`, or the cores of this process.
-
-    It is `$HFRAME_THREADS` if that is set, else the number of cores that this process may use.
-    """
+    """Return the number of threads for simulating a batch: `$HFRAME_THREADS`, or the available cores."""
     explicit = os.environ.get("HFRAME_THREADS")
     if not explicit:
         return cores()

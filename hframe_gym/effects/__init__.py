@@ -43,7 +43,7 @@ EFFECTS: Mapping[str, Effect] = MappingProxyType(_REGISTERED)
 
 
 def register_effect(effect: Effect) -> Effect:
-    """Add an effect to `EFFECTS` for all of the package, and return it; ValueError if its name is taken."""
+    """Add an effect to the library `EFFECTS`, and return it; ValueError if its name is in use."""
     if _REGISTERED.get(effect.name, effect) is not effect:
         raise ValueError(f"effect {effect.name!r} is registered already")
     _REGISTERED[effect.name] = effect
@@ -51,7 +51,10 @@ def register_effect(effect: Effect) -> Effect:
 
 
 def unregister_effect(name: str) -> None:
-    """Remove an effect from `EFFECTS` until the end of the process; a KeyError if there is none."""
+    """Remove an effect from `EFFECTS` in this process, for example at the end of a test.
+
+    KeyError if it is missing.
+    """
     del _REGISTERED[name]
 
 
@@ -70,7 +73,7 @@ def get_effect(name: str) -> Effect:
 
 
 def effect_sites(effect: Effect, machine: Machine) -> tuple[str, ...]:
-    """Return the sites, the components of a machine, at which an identification tries an effect.
+    """Return the components of a machine (sites) at which an identification tries an effect.
 
     Returns:
         Names of coordinates, drives, belts or sensor channels, depending on the kind of the effect. The word

@@ -9,7 +9,7 @@ def tension(s, k, h):  # type: ignore[no-untyped-def]
 
 
 def energy_slope(s, h):  # type: ignore[no-untyped-def]
-    """Return dE/dk of the belt energy E(s, k) at constant s, s^2/2 (1 + h s^2/2), m^2; s: m, h: 1/m^2."""
+    """Return the derivative of the belt's energy E(s, k) by k, s^2/2 (1 + h s^2/2), m^2; s: m, h: 1/m^2."""
     return 0.5 * s * s * (1.0 + 0.5 * h * s * s)
 
 

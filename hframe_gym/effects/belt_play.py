@@ -15,7 +15,7 @@ def tension(s, k, d):  # type: ignore[no-untyped-def]
 
 
 def energy_slope(s, d):  # type: ignore[no-untyped-def]
-    """Return dE/dk of the belt energy E(s, k) at constant s, (s - clip(s, -d, d))^2 / 2, m^2; s, d: m."""
+    """Return the derivative of the belt's energy E(s, k) by k, (s - clip(s, -d, d))^2 / 2, m^2; s, d: m."""
     stretch = beyond_play(s, d)
     return 0.5 * stretch * stretch
 

@@ -5,12 +5,15 @@ from ..machine import Effect, EffectParameter
 
 
 def tension(s, k, T0):  # type: ignore[no-untyped-def]
-    """Return tension beyond the pretension, max(k s, -T0), N; s: extension, m, k: stiffness, N/m, T0: N."""
+    """Return the belt tension beyond the pretension T0, N: max(k s, -T0); s: extension, m, k: N/m."""
     return maximum(k * s, -T0)
 
 
 def energy_slope(s, k, T0):  # type: ignore[no-untyped-def]
-    """Return dE/dk of belt energy E(s, k) at constant s, max(s, -T0/k)^2 / 2, m^2; s: m, k: N/m, T0: N."""
+    """Return the derivative of the belt's energy E(s, k) by k, max(s, -T0/k)^2 / 2, m^2.
+
+    s: extension, m, k: stiffness, N/m, T0: pretension, N.
+    """
     taut = maximum(s, -T0 / k)
     return 0.5 * taut * taut
 

@@ -12,7 +12,7 @@ from .dahl_hysteresis import PARAMETERS, force, initial_spread
 
 
 def next_state(z, dq, L):  # type: ignore[no-untyped-def]
-    """Return the state, -1 to 1, after a motion dq without reversal: dz/dt solved exactly over the distance.
+    """Return the state, -1 to 1, after a motion dq without reversal, from the exact solution for dz/dt.
 
     L is the characteristic distance, m or rad, as dq.
     """

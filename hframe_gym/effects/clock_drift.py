@@ -13,7 +13,7 @@ def next_state(z, dt):  # type: ignore[no-untyped-def]
 
 
 def clock(z, a):  # type: ignore[no-untyped-def]
-    """Return by which fraction a step is longer than by the log, a t; z: time since the start, s, a: 1/s."""
+    """Return the fraction a t by which a step lasts longer than the log's clock says; z: t, s, a: 1/s."""
     return a * z
 
 

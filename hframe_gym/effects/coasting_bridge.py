@@ -12,7 +12,7 @@ from .winding_heat import fits_site
 
 
 def current(i, V, R, U):  # type: ignore[no-untyped-def]
-    """Return the mean current, A; i: with back-EMF always, A, V: mean voltage, V, R: resistance, ohm."""
+    """Return the mean current, A; i: current with back-EMF all the time, A, V: mean voltage, V, R: ohm."""
     return V / R - minimum(absolute(V) / U, 1.0) * (V / R - i)
 
 

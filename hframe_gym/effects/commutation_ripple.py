@@ -8,9 +8,9 @@ from ..machine import Effect, EffectParameter
 
 
 def torque(i, q, a, n, p):  # type: ignore[no-untyped-def]
-    """Return the current i (1 + a sin(n q + p)), A, that makes this torque at a constant Kt.
+    """Return the current, A, that would give the same torque without the ripple: i (1 + a sin(n q + p)).
 
-    i is the current, A, q the position, rad or m, n in rad per unit of q and p in rad.
+    i: actual current, A, q: position, rad or m, n: rad per unit of q, p: phase, rad.
     """
     return i * (1.0 + a * sin(n * q + p))
 

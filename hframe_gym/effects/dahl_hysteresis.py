@@ -10,9 +10,9 @@ from ..machine import Effect, EffectParameter
 
 
 def next_state(z, dq, L):  # type: ignore[no-untyped-def]
-    """Return the state, in [-1, 1], after a motion dq to one side, s + (z - s) exp(-|dq|/L), s = sign(dq).
+    """Return the state, in [-1, 1], after a motion dq in one direction: s + (z - s) exp(-|dq|/L).
 
-    L is the characteristic distance, m or rad, as dq.
+    s is the sign of dq, and L the characteristic distance, m or rad, as dq.
     """
     final = copysign(1.0, dq)
     return final + (z - final) * exp(-absolute(dq) / L)
@@ -24,7 +24,7 @@ def force(z, F):  # type: ignore[no-untyped-def]
 
 
 def initial_spread():  # type: ignore[no-untyped-def]
-    """Return 0.58, standard deviation of the state z after unrecorded motion: of a uniform z in [-1, 1]."""
+    """Return the standard deviation of the state z after unrecorded motion, 0.58: z is uniform in [-1, 1]."""
     return 0.58
 
 

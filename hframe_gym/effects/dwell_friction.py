@@ -30,7 +30,10 @@ def coulomb(z, dF):  # type: ignore[no-untyped-def]
 
 
 def initial_spread(tau):  # type: ignore[no-untyped-def]
-    """Return the state's standard deviation at a recording's start: that after a typical rest; tau: s."""
+    """Return the standard deviation of the state when a recording begins, after a rest of typical length.
+
+    Tau: s.
+    """
     return log(1.0 + _REST / tau)
 
 

@@ -8,7 +8,7 @@ from ..machine import Effect, EffectParameter
 
 
 def force(v, c, v0):  # type: ignore[no-untyped-def]
-    """Return the drag, N or Nm; v: speed, v0: that of the largest drag, m/s or rad/s, c: Ns/m or Nms."""
+    """Return the drag, N or Nm; v: speed, v0: speed of the largest drag, m/s or rad/s, c: Ns/m or Nms."""
     ratio = v / v0
     return -c * v / (1.0 + ratio * ratio)
 

@@ -36,11 +36,12 @@ def _names(machine: Machine, site: str) -> tuple[str, str, str]:
 
 
 def fits_site(machine: Machine, site: str) -> bool:
-    """Return whether something can be behind a gap at a drive, moved by it alone, and the names are free.
+    """Return whether a drive can have a gap, with something behind it that this drive alone moves.
 
-    Belts can, and the load of a motor alone: while the teeth do not touch, the motor turns without its
-    inertia, which its own encoder and current show. A carriage that a motor moves directly would be two axes
-    of the tool.
+    Behind the gap there can be belts, or the load of a motor alone: while the teeth do not touch, the motor
+    turns without its inertia, which the motor's encoder and current reveal. A carriage that a motor moves
+    directly is excluded, because it would become two axes of the tool. The names of the added components must
+    be unused.
     """
     near, far, teeth = _names(machine, site)
     drives = [d for d in machine.drives if d.coordinate == near]

@@ -60,7 +60,7 @@ def _roles(machine: Machine) -> dict[str, str]:
 
 
 def fits(machine: Machine) -> bool:
-    """Return whether a machine can have this: belts of the 8th-order model, no ties, no name in use."""
+    """Return whether a machine can have this effect: belts of the 8th-order model, no ties, free names."""
     roles = _roles(machine)
     if not roles or machine.ties:
         return False

@@ -28,9 +28,10 @@ def force(q, v, m, net, f0, zeta):  # type: ignore[no-untyped-def]
 
 
 def initial_spread(level, m, f0, r):  # type: ignore[no-untyped-def]
-    """Return standard deviations of the deflection and its rate, m and m/s or rad and rad/s, as a run begins.
+    """Return standard deviations of the load's deflection and its rate when a recording begins.
 
-    The load may still swing, but so little that dry friction, level, N or Nm, holds the carriage of mass m.
+    The units are m and m/s, or rad and rad/s. The load may still swing, but so little that dry friction,
+    `level`, N or Nm, holds the carriage of mass m.
     """
     w = 2.0 * math.pi * f0
     deflection = level / (r * m * w * w)
@@ -57,7 +58,7 @@ def structure(machine: Machine, effect: AppliedEffect) -> Machine:
 
 
 def rigid(machine: Machine, effect: AppliedEffect) -> Machine:
-    """Return the machine without the pendulum: the carriage again carries the mass of the load."""
+    """Return the machine without the swinging load: its mass moves with the carriage again."""
     carriage = machine.coordinate(effect.site)
     return machine.replace({f"{carriage.name}.mass": carriage.mass * (1.0 + effect.parameters["r"])})
 

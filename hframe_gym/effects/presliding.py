@@ -28,7 +28,7 @@ def friction(z, v, level, s0, s1):  # type: ignore[no-untyped-def]
 
 
 def initial_spread(level, s0):  # type: ignore[no-untyped-def]
-    """Return the standard deviation of z after unrecorded motion: a quarter of its limit F/s0, m or rad."""
+    """Return the standard deviation of z after unrecorded motion, a quarter of its limit F/s0, m or rad."""
     return 0.25 * level / s0
 
 

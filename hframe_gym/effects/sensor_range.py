@@ -22,15 +22,15 @@ def measurement(r, low, high):  # type: ignore[no-untyped-def]
 
 
 def starting_values(measured: Array, noise: float) -> list[dict[str, float]]:
-    """Return the ends at which a sensor may saturate: its outermost measurements, where many lie together.
+    """Estimate range limits of a sensor from its measurements: many equal extreme values mean saturation.
 
     Args:
         measured: Measurements, m or rad, shape (m,).
         noise: Standard deviation of their noise, m or rad.
 
     Returns:
-        The end at which it saturates, m or rad; or each of the two, then both. Nothing if it saturates at
-        neither.
+        Sets of limits for a search, m or rad: the limit at which the sensor saturates; or, for two of them,
+        each limit alone and both. Empty without saturation.
     """
     if len(measured) == 0:
         return []

@@ -13,22 +13,22 @@ def measurement(r, g):  # type: ignore[no-untyped-def]
 
 
 def fits(machine: Machine) -> bool:
-    """Return whether a scale error can be identified: more sensors of motion than rigid-body motions.
+    """Return whether a scale error can be identified: there must be more motion sensors than rigid motions.
 
     If a single sensor measures an axis, a scale error cannot be distinguished from masses and forces that are
-    wrong by the same factor. Nor does the current of the motor tell them apart, whose back-EMF constant may
-    be wrong as well.
+    wrong by the same factor. The current of the motor does not distinguish them either, because the back-EMF
+    constant may be wrong as well.
     """
     of_motion = [sensor for sensor in machine.sensors if sensor.sensed.component == "coordinate"]
     return len(of_motion) > max(1, len(rigid_motions(machine)))
 
 
 def equivalent_site(machine: Machine, site: str, other: str) -> bool:
-    """Return whether scale errors of two sensors are the same in every recording.
+    """Return whether no recording can distinguish a scale error of one sensor from that of another.
 
-    So they are where both alone measure the position of a linear axis: masses and forces that are wrong by
-    the same factor make up for the difference. Belts to other coordinates, a third sensor, or a drive that
-    follows set points tell which scale is right.
+    This is so if only these two measure the position of a linear axis: masses and forces that are wrong by
+    the same factor compensate the difference. Belts to other coordinates, a third sensor, or a drive that
+    follows set points reveal which scale is right.
     """
     measuring = {
         sensor.channel: sensor for sensor in machine.sensors if sensor.sensed.component == "coordinate"

@@ -13,7 +13,7 @@ _NARROWEST = 1e-9  # m or rad; avoids a division by zero for d = 0
 
 
 def fits_site(machine: Machine, site: str) -> bool:
-    """Return whether the drive has a loop of the position."""
+    """Return whether a drive controls its position, as a servo does."""
     return machine.drive(site).kind == "position"
 
 

@@ -100,5 +100,5 @@ def definition(name: str) -> Effect:
 
 
 def tabulated_range(effect: AppliedEffect) -> tuple[float, float]:
-    """Return a table's first and last knot, in its variable's unit; the table is constant beyond them."""
+    """Return the first and the last knot of a table, in its variable's unit; it is constant beyond them."""
     return effect.parameters[_KNOT_NAMES[0]], effect.parameters[_KNOT_NAMES[-1]]

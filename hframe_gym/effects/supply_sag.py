@@ -12,7 +12,10 @@ from .winding_heat import fits_site
 
 
 def current(i, V, R, z):  # type: ignore[no-untyped-def]
-    """Return the current with the sag z, A; i, V: current, A, and voltage, V, without it, R: ohm."""
+    """Return the current with the relative sag z, A.
+
+    I: current, A, and V: voltage, V, without sag, R: ohm.
+    """
     return i - z * V / R
 
 

@@ -7,7 +7,10 @@ from ..machine import Effect, EffectParameter
 
 
 def torque(i, s):  # type: ignore[no-untyped-def]
-    """Return the current i / (1 + s i^2), A, of this torque without saturation; i: current, A, s: 1/A^2."""
+    """Return the current, A, that would give the same torque without saturation: i / (1 + s i^2).
+
+    i: actual current, A, s: 1/A^2.
+    """
     return i / (1.0 + s * i * i)
 
 

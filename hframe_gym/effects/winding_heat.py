@@ -12,13 +12,13 @@ _WARM = 0.25  # of the current at standstill and rated voltage: about what motor
 
 
 def fits_site(machine: Machine, site: str) -> bool:
-    """Return whether all drives of a site have windings at a voltage, so that their resistance matters."""
+    """Return whether all drives of a site command voltages, so that the winding's resistance matters."""
     drives = machine.drives if site == "drives" else (machine.drive(site),)
     return all(drive.command == "voltage" for drive in drives)
 
 
 def current(i, z, a):  # type: ignore[no-untyped-def]
-    """Return the warm winding's current, A; i: that when cold, A, z: heat, A^2, a: relative rise, 1/A^2."""
+    """Return the warm winding's current, A; i: current if cold, A, z: heat, A^2, a: relative rise, 1/A^2."""
     return i / (1.0 + a * z)
 
 
@@ -29,7 +29,10 @@ def next_state(z, i, dt, a, tau):  # type: ignore[no-untyped-def]
 
 
 def initial_spread(i):  # type: ignore[no-untyped-def]
-    """Return the heat's standard deviation at a recording's start, A^2; i: current at rated voltage, A."""
+    """Return the standard deviation of the heat when a recording begins, A^2.
+
+    I: current at rated voltage, A.
+    """
     return (_WARM * i) * (_WARM * i)
 
 

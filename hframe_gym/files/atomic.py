@@ -231,8 +231,8 @@ def newest(path: str | Path) -> Path:
     then its content is in a temporary file.
 
     Returns:
-        Path of the temporary file, valid until the batch ends, if the present batch has written the file;
-        else `path`.
+        Path of the temporary file, valid until the batch ends, if the current `output_batch` has written the
+        file; else `path`.
     """
     found = _in_batch(Path(path))
     if found is None or not (found[0].new / found[1]).exists():
@@ -319,12 +319,11 @@ def locked_folder(folder: str | Path) -> Iterator[Path]:
 
 
 def complete_commit(folder: str | Path) -> None:
-    """Finish the changes of a folder that a killed process had completed but not finished.
+    """Finish the file moves that a killed process left half done in a folder.
 
     `output_batch` writes the new files of a folder completely before it moves the first one to its name. If
     it is killed between two moves, the folder holds new files beside old ones. Call this function before you
-    read files of a folder that belong together. While any process has locked the folder, the function does
-    nothing.
+    read files of a folder that belong together. It does nothing while a process has locked the folder.
 
     Raises:
         OSError: If there are files to move and the folder cannot be written.
@@ -340,9 +339,9 @@ def complete_commit(folder: str | Path) -> None:
 
 @contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """Provide an empty temporary folder; it is deleted at the end of the `with` block.
+    """Provide an empty temporary folder and delete it at the end of the `with` block.
 
-    It is for libraries that can write only to a path. Scratch folders that killed processes of the same user
+    It is for libraries that can only write to a path. Scratch folders that killed processes of the same user
     left are deleted at the beginning.
 
     Yields:

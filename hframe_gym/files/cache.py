@@ -21,7 +21,7 @@ def cache_folder() -> Path:
 
     It is the first of these folders that can be written and has 32 MB of room: `$HFRAME_CACHE` (if set),
     `hframe_gym` in the user's cache folder, a private folder in the system's temporary folder. If none is
-    usable, it is a new temporary folder. A warning is issued if it is not the first one.
+    usable, it is a new temporary folder. If it is not the first one, a warning is issued.
 
     Returns:
         Existing folder that can be written.

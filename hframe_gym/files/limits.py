@@ -32,16 +32,16 @@ MAX_VALUES = 1_000_000_000  # numbers of a table: 8 GB, two hours at 10 kHz with
 
 
 def expansion_limit(path: Path) -> int:
-    """Return the largest accepted size, bytes, of the decompressed content of a file.
+    """Return the largest accepted size, bytes, of the content of a compressed file.
 
-    A small compressed file can expand to more than the memory holds; such a file is refused. The limit is 100
-    times the size of the file (`MAX_EXPANSION`), but at least 64 MB (`FREE_EXPANSION`).
+    A small compressed file can expand to more than the memory holds. The limit is 100 times the size of the
+    file (`MAX_EXPANSION`), but at least 64 MB (`FREE_EXPANSION`).
     """
     return max(FREE_EXPANSION, MAX_EXPANSION * path.stat().st_size)
 
 
 def refuse_expansion(path: Path, size: int) -> None:
-    """Raise an InputError if content is larger than 64 MB and than 100 times the compressed file."""
+    """Raise an InputError if decompressed content of `size` bytes exceeds the file's `expansion_limit`."""
     if size > expansion_limit(path):
         raise InputError(
             f"{path}: expands to more than {MAX_EXPANSION} times its size and {FREE_EXPANSION >> 20} MB, "
@@ -50,7 +50,7 @@ def refuse_expansion(path: Path, size: int) -> None:
 
 
 def refuse_long_line(path: Path, length: int) -> None:
-    """Raise an InputError if a line of so many characters is too long (`MAX_LINE`) for a row of numbers."""
+    """Raise an InputError if a line has too many characters (`MAX_LINE`) to be a row of numbers."""
     if length >= MAX_LINE:
         raise InputError(
             f"{path}: has a line of more than {MAX_LINE - 1} characters; a table has a row for each time. "
@@ -59,7 +59,7 @@ def refuse_long_line(path: Path, length: int) -> None:
 
 
 def refuse_many_values(path: Path, rows: int, columns: int) -> None:
-    """Raise an InputError if a table has more numbers than the memory can hold (`MAX_VALUES`, 8 GB)."""
+    """Raise an InputError if a table has more than `MAX_VALUES` numbers (8 GB)."""
     if rows * columns > MAX_VALUES:
         raise InputError(
             f"{path}: has more than {MAX_VALUES:.0e} numbers; cut the recording into several runs"

@@ -1,4 +1,4 @@
-"""Files that belong together: their folder, and their contents on the way from a worker process to it."""
+"""Write files that belong together, also those that a worker process has made."""
 
 from __future__ import annotations
 
@@ -13,7 +13,11 @@ Result = TypeVar("Result")
 
 
 def output_folder(path: str | Path) -> Path:
-    """Return the value of the option --out, a folder that may not exist yet; InputError if it is a file."""
+    """Check the value of the option --out: return it as the path of a folder, which may not exist yet.
+
+    Raises:
+        InputError: If the path is a file.
+    """
     folder = Path(path)
     if folder.exists() and not folder.is_dir():
         raise InputError(f"--out {folder}: is a file, but must be a folder")
@@ -21,10 +25,10 @@ def output_folder(path: str | Path) -> Path:
 
 
 def files_of(write: Callable[[Path], Result]) -> tuple[Result, dict[str, bytes]]:
-    """Run a function that writes files to an empty folder; return its result, and the files by relative path.
+    """Run a function that writes files to a temporary folder; return its result and the files' contents.
 
-    A worker process, which must not write to the folders of its caller, returns its files in this way; the
-    calling process writes them with `write_files`.
+    A worker process must not write to the folders of its caller. It returns the contents by relative path,
+    and the calling process writes them with `write_files`.
     """
     with scratch_folder() as scratch:
         folder = scratch / "files"  # the scratch folder itself is locked
@@ -35,7 +39,7 @@ def files_of(write: Callable[[Path], Result]) -> tuple[Result, dict[str, bytes]]
 
 
 def write_files(folder: str | Path, files: Mapping[str, bytes]) -> None:
-    """Write files, by relative path, to a folder; they appear together, or none of them.
+    """Write contents, by relative path, to files of a folder; all files appear together, or none does.
 
     Raises:
         InputError: If another process writes to the folder.

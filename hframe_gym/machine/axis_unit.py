@@ -26,7 +26,7 @@ class AxisUnit:
     Attributes:
         name: "m" or "rad"; info keys and columns of tables end in it.
         small: "mm" or "mrad", a thousandth of it, in which results state errors.
-        per_meter: Positions in this unit that count like a meter: 1, or 10 rad.
+        per_meter: Number of these units that correspond to one meter: 1 m, or 10 rad.
     """
 
     name: str
@@ -41,12 +41,12 @@ class AxisUnit:
 
     @cached_property
     def bound_band(self) -> str:
-        """Name of the band within which time-optimal motions end, the second one: "0.2mm" or "2mrad"."""
+        """Name of the band, the second widest, in which time-optimal motions end: "0.2mm" or "2mrad"."""
         return list(self.bands)[1]
 
     @cached_property
     def band_texts(self) -> Mapping[str, str]:
-        """The settling bands as written for readers, such as "0.2 mm", by name."""
+        """Sizes of the settling bands as text, such as "0.2 mm", by name of the band."""
         return {name: f"{1e3 * band:g} {self.small}" for name, band in self.bands.items()}
 
     @property

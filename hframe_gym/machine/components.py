@@ -224,7 +224,7 @@ class Drive(Component):
 
     @override
     def with_values(self, values: Mapping[str, Any]) -> Drive:
-        """Return a copy with other values, SI, of attributes and of parameters of the law, by name."""
+        """Return a copy with some attributes or law parameters replaced, by name, SI."""
         law = {name: values.get(name, value) for name, value in self.law_parameters.items()}
         others = {name: value for name, value in values.items() if name not in law}
         changed: Drive = super().with_values(others)
@@ -232,20 +232,20 @@ class Drive(Component):
 
     @property
     def law(self) -> DriveLaw | None:
-        """Law of the kind with the values of this drive; None if the motor's equation holds."""
+        """Torque law of the drive, for kinds such as servos; None for a plain motor."""
         definition = DRIVE_KINDS.get(self.kind).law
         return None if definition is None else DriveLaw(definition, self.name, self.law_parameters)
 
     @property
     def command(self) -> str:
-        """Quantity of the command, by the kind: "voltage", "current", "torque", "position", "speed"."""
+        """Quantity that the drive's input commands: "voltage", "current", "torque", "position" or "speed"."""
         return DRIVE_KINDS.get(self.kind).command
 
     @property
     def gain(self) -> float:
         """Force (N/V) or torque (Nm/V) on the coordinate per volt, at rest: gear_ratio * Kt / resistance.
 
-        Only a scale for a drive with a law: its largest force per rated command.
+        For a drive with a law it is only a scale: the largest force divided by the rated command.
         """
         if self.law_parameters:
             largest = self.law_parameters[DRIVE_KINDS.get(self.kind).largest]
@@ -259,19 +259,19 @@ class Drive(Component):
 
     @property
     def back_emf(self) -> float:
-        """Viscous coefficient of the back-EMF: gear_ratio^2 * Kt * Ke / resistance, Ns/m or Nms."""
+        """Viscous coefficient that the back-EMF adds: gear_ratio^2 * Kt * Ke / resistance, Ns/m or Nms."""
         return self.gain * self.emf_constant
 
     @property
     def damping(self) -> float:
-        """Viscous friction coefficient equivalent to the back-EMF or to the law, Ns/m or Nms."""
+        """Viscous coefficient, Ns/m or Nms, that the back-EMF adds, or the law of a drive that has one."""
         if self.law_parameters:
             return DRIVE_KINDS.get(self.kind).damping(self.gear_ratio, self.law_parameters)  # type: ignore[no-any-return]
         return self.back_emf
 
     @property
     def largest_speed(self) -> float:
-        """The coordinate's largest speed by its set points, m/s or rad/s; infinite without a limit."""
+        """Largest speed of the coordinate that the law permits, m/s or rad/s; infinite without a limit."""
         if self.law_parameters and self.command == "speed":
             return self.rated_voltage
         return self.law_parameters.get("speed_limit", math.inf)
@@ -279,16 +279,16 @@ class Drive(Component):
     @property
     @override
     def device_parameters(self) -> dict[str, float]:
-        """Parameters of the D/A converter by name; its range is by default the rated voltage."""
+        """Parameters of the drive's D/A converter; `voltage_range` is by default the rated voltage."""
         limit = self.rated_voltage if self.voltage_range is None else self.voltage_range
         return super().device_parameters | {"voltage_range": limit}
 
 
 @dataclass(frozen=True)
 class Sensor(Component):
-    """One sensor of a sum of coefficients times positions, speeds, accelerations, currents or tensions.
+    """One sensor, which measures a weighted sum of positions, speeds, accelerations, currents or tensions.
 
-    Its unit is that of the quantity at the coordinate with the largest coefficient.
+    Its unit is that of the measured quantity at the coordinate with the largest coefficient.
 
     Attributes:
         channel: Column of its measurements in recordings; the name ends in the unit, for example _m, _rad,
@@ -335,22 +335,22 @@ class Sensor(Component):
 
     @property
     def incremental(self) -> bool:
-        """Whether the sensor counts increments from power-on; its reading at position 0 is unknown."""
+        """Whether the sensor counts from power-on, so that its reading at position 0 is unknown."""
         return SENSOR_KINDS.get(self.kind).incremental
 
     @property
     def quantity(self) -> SensorQuantity:
-        """Name of the quantity to which the sensor responds, one of `SENSED_QUANTITIES`."""
+        """Name of the measured quantity, such as "position", one of `SENSED_QUANTITIES`."""
         return SENSOR_KINDS.get(self.kind).quantity()
 
     @property
     def sensed(self) -> SensedQuantity:
-        """The quantity to which the sensor responds."""
+        """Properties of the measured quantity."""
         return SENSED_QUANTITIES[self.quantity]
 
     @property
     def has_direction(self) -> bool:
-        """Whether the sensor measures the motion of coordinates and changes its sign with the direction."""
+        """Whether the sensor measures a motion of coordinates, with its sign."""
         return self.sensed.component == "coordinate" and SENSOR_KINDS.get(self.kind).has_direction()
 
     @property
@@ -365,7 +365,7 @@ class Sensor(Component):
 
     @property
     def turn(self) -> float | None:
-        """Range after which the measurement begins anew, in the channel's unit; None if it does not."""
+        """Range of a measurement that wraps around, in the channel's unit, such as 2 pi; else None."""
         return SENSOR_KINDS.get(self.kind).turn
 
     @property

@@ -60,10 +60,10 @@ def written_unit(unit: str) -> str:
 
 @dataclass(frozen=True)
 class Number:
-    """Declaration of a number with a unit; for an attribute that is a pair, of its lowest and highest value.
+    """Declaration of a numeric attribute with its unit; for a pair [low, high] it holds for both numbers.
 
     Attributes:
-        unit: Unit, or its name among `Variant.units`: "mass" is kg or kg m^2, depending on the coordinate.
+        unit: Unit, or a key of `Variant.units`: "mass" is kg or kg m^2, depending on the coordinate.
         lower: Smallest value: `POSITIVE`, 0, or negative if every value is possible.
         upper: Largest value.
         role: "parameter": it enters the equations of motion, and can be identified and randomized. "device":
@@ -85,7 +85,7 @@ class Number:
     older_unit: str = ""
 
     def limits(self, refused: float) -> str:
-        """Say which values are possible, as the end of a sentence that refuses the number `refused`, SI."""
+        """Describe the possible values in words, for a message that refuses the value `refused`, SI."""
         between = f"between {self.lower:g} and {self.upper:g}"
         if self.lower < 0.0:
             return between
@@ -109,7 +109,7 @@ class Plain:
 
 @dataclass(frozen=True)
 class Attribute:
-    """An attribute of a component.
+    """Declared attribute of a component.
 
     Attributes:
         type: Its type, without the declaration and without None.
@@ -128,11 +128,11 @@ class Attribute:
 
 @dataclass(frozen=True)
 class Variant:
-    """What follows from the kind of a component and that of the coordinate at which it is.
+    """Properties of a component that depend on its kind and on the kind of its coordinate, linear or rotary.
 
     Attributes:
-        title: What the component is, for messages, such as "a linear coordinate".
-        units: Units by the name of an attribute, or by the name that a declaration states in place of a unit.
+        title: Description for messages, such as "a linear coordinate".
+        units: Units, by name of an attribute or by the key that a declaration states as its unit.
         absent: Values of the attributes that such a component does not have.
         defaults: Values of the attributes that machine.json need not state.
         fields: Names of attributes in machine.json, where they differ.
@@ -145,7 +145,7 @@ class Variant:
     fields: Mapping[str, str] = field(default_factory=dict)
 
     def unit(self, name: str, quantity: Number) -> str:
-        """Return the unit of an attribute from its name and declaration."""
+        """Return the unit of an attribute, given its name and declaration."""
         return self.units.get(name, self.units.get(quantity.unit, quantity.unit))
 
     def field(self, name: str) -> str:
@@ -153,13 +153,13 @@ class Variant:
         return self.fields.get(name, name)
 
     def own(self, component: type[Component]) -> dict[str, Attribute]:
-        """Return the attributes that such a component has, by their names in machine.json."""
+        """Return the attributes that a component has in this variant, by their names in machine.json."""
         own = (a for a in component.attributes().values() if a.name not in self.absent)
         return {self.field(attribute.name): attribute for attribute in own}
 
 
 class Component:
-    """Base class of coordinates, belts, drives and sensors: what follows from their attributes' declarations.
+    """Base class of coordinates, belts, drives and sensors; the declared attributes determine the rest.
 
     Attributes:
         kinds: Registered kinds of such components; None if they have no kinds.
@@ -169,19 +169,19 @@ class Component:
 
     @classmethod
     def variant(cls, coordinate: CoordinateKind, kind: str = "") -> Variant:
-        """Return what follows from a kind of the component and the kind of the coordinate at which it is."""
+        """Return what the kinds of component and coordinate determine: units, defaults, absent attributes."""
         return Variant()
 
     @classmethod
     def variants(cls) -> dict[tuple[str, CoordinateKind], Variant]:
-        """Return the component's variants by its kind's name, empty without kinds, and the coordinate's."""
+        """Return all variants, by (kind of the component or "", kind of the coordinate)."""
         pairs = itertools.product(cls.kinds or ("",), UNITS)
         return {(kind, coordinate): cls.variant(coordinate, kind) for kind, coordinate in pairs}
 
     @classmethod
     @cache
     def attributes(cls) -> Mapping[str, Attribute]:
-        """Return the attributes by name, texts first, then in the class's order, as in machine.json."""
+        """Return the declared attributes by name, in the order of machine.json: texts come first."""
         hints = get_type_hints(cls, include_extras=True)
         described = descriptions(cls)
         found = []
@@ -203,19 +203,19 @@ class Component:
     @classmethod
     @cache
     def numbers(cls) -> Mapping[str, Number]:
-        """Return the declarations of the attributes that are numbers, by name."""
+        """Return the declarations of all numeric attributes, by name."""
         declared = {name: attribute.declared for name, attribute in cls.attributes().items()}
         return {name: number for name, number in declared.items() if isinstance(number, Number)}
 
     @classmethod
     @cache
     def names(cls, role: Role) -> tuple[str, ...]:
-        """Return the names of the attributes that are parameters with a role."""
+        """Return the names of the numeric attributes that have a role, such as "parameter"."""
         return tuple(name for name, number in cls.numbers().items() if number.role == role)
 
     @property
     def label(self) -> str:
-        """Name of the component in the full names of its parameters."""
+        """Name of the component in parameter names, such as "x" in "x.mass"."""
         return self.name  # type: ignore[attr-defined, no-any-return]
 
     @property
@@ -244,19 +244,19 @@ class Component:
                     )
 
     def with_values(self, values: Mapping[str, Any]) -> Any:
-        """Return a copy with other values of attributes, SI, by name; whole numbers are rounded."""
+        """Return a copy with some attributes replaced, by name, SI; integer attributes are rounded."""
         whole = {name for name in values if self.attributes()[name].type is int}
         new = {name: round(value) if name in whole else value for name, value in values.items()}
         return dataclasses.replace(self, **new)  # type: ignore[type-var]
 
 
 def summary(documented: type) -> str:
-    """Return the text of a docstring before its section `Attributes`, in one line."""
+    """Return the part of a class's docstring before the section `Attributes`, as one line."""
     return " ".join((inspect.getdoc(documented) or "").partition("Attributes:")[0].split())
 
 
 def descriptions(documented: type) -> dict[str, str]:
-    """Return the entries of the section `Attributes` of a docstring by name, each in one line."""
+    """Return the entries of the section `Attributes` of a class's docstring, by name, each as one line."""
     _, _, section = (inspect.getdoc(documented) or "").partition("Attributes:\n")
     entries = re.findall(r"^    (\S+): (.*(?:\n {8}.*)*)", section, re.MULTILINE)
     return {name: " ".join(text.split()) for name, text in entries}

@@ -1,4 +1,4 @@
-"""Kinds of drives: what the command of a drive is, and what the drive makes of it.
+"""Kinds of drives: which quantity an input commands, and the force that follows.
 
 Kinds whose torque follows a law of their own are in `hframe_gym.drives`, one file each.
 """
@@ -18,7 +18,7 @@ from .effect import AppliedEffect, Effect
 
 
 class DriveKind:
-    """Base class of drive kinds: what the command of a drive is, and what the drive makes of it.
+    """Base class of drive kinds: which quantity an input commands, and the torque that follows.
 
     A kind is a subclass that registers itself with `@DRIVE_KINDS.register("name")`. Kinds are never
     instantiated. The current that a command causes is (command - Ke * gear_ratio * w) / resistance, where a
@@ -52,10 +52,10 @@ class DriveKind:
 
     @classmethod
     def damping(cls, gear_ratio: Any, law_parameters: Mapping[str, Any]) -> Any:
-        """Return the viscous coefficient of a law: by how much its force falls per speed, Ns/m or Nms.
+        """Return by how much a law's force falls per speed of the coordinate, Ns/m or Nms; 0 if it does not.
 
-        It is that at the coordinate, while the torque is within its limits; 0 for a law without such a part.
-        The integrator solves it exactly, so that a stiff loop needs no short steps.
+        It holds while the torque is within its limits. The integrator solves this part exactly, so that a
+        stiff loop needs no short steps.
 
         Args:
             gear_ratio: Gear ratio of the drive, rad/m or rad/rad: float, array of any shape or expression.
@@ -65,20 +65,20 @@ class DriveKind:
 
     @classmethod
     def largest_jump(cls, gear_ratio: float, law_parameters: Mapping[str, float]) -> float:
-        """Return by how much a commanded position may change at once, in the coordinate's unit.
+        """Return the largest sudden change of a commanded position that the drive follows.
 
         Args:
             gear_ratio: Gear ratio of the drive, rad/m or rad/rad.
             law_parameters: Values of the parameters of the law, SI.
 
         Returns:
-            The change, m or rad, beyond which the drive does not follow; infinite if it always does.
+            Change of the coordinate's position, m or rad; infinite if the drive follows any.
         """
         return math.inf
 
     @classmethod
     def unit(cls, coordinate: CoordinateKind) -> str:
-        """Return the unit of the command of a drive that moves a coordinate of a kind."""
+        """Return the unit of the command, given the kind of the coordinate that the drive moves."""
         return FIXED_UNITS.get(cls.command) or UNITS[coordinate][cls.command]
 
 
@@ -124,7 +124,7 @@ class TorqueDrive(DriveKind):
 
 @dataclass(frozen=True)
 class DriveLaw(AppliedEffect):
-    """The law of a drive, which acts like an effect on it; its parameters are parameters of the drive."""
+    """The law of one drive, treated like an effect on it; the parameters are those of the drive."""
 
     @property
     @override

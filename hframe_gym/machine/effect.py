@@ -53,7 +53,7 @@ HOOKS: Mapping[str, tuple[str, ...]] = {
 
 
 class Named(Protocol):
-    """A component with a name."""
+    """Anything with a name, such as a drive."""
 
     @property
     def name(self) -> str:
@@ -61,7 +61,7 @@ class Named(Protocol):
 
 
 class Components(Protocol):
-    """What an effect needs to know of a `Machine`: the components on which effects can act."""
+    """The part of a `Machine` that an effect needs: the components on which effects can act."""
 
     @property
     def name(self) -> str:
@@ -331,10 +331,10 @@ class Effect:
         raise KeyError(f"effect {self.name!r} has no parameter {name!r}")
 
     def possible_sites(self, machine: Components) -> tuple[str, ...]:
-        """List the components of a machine on which the effect can act, by component (attribute `site`).
+        """List the components of a machine on which the effect can act, given the attribute `site`.
 
-        "drives" and "belts" stand for all drives or belts at once, "machine" for the whole machine. The
-        further conditions `fits` and `fits_site` are not checked.
+        "drives" and "belts" stand for all drives or belts at once, "machine" for all coordinates. The further
+        conditions `fits` and `fits_site` are not checked.
         """
         drives = tuple(d.name for d in machine.drives)
         belts = _declared_belts(machine)
@@ -363,7 +363,7 @@ class Effect:
 
     @property
     def replaces_model_part(self) -> bool:
-        """Whether the effect adds coordinates or replaces dry friction. No amplitude can then fade it in."""
+        """Whether the effect adds coordinates or replaces dry friction; no amplitude then scales it."""
         return bool(self.structure or self.friction)
 
     @property
@@ -431,21 +431,21 @@ class AppliedEffect:
 
     @property
     def added_belt(self) -> str:
-        """Name of the belt section that the effect adds to a machine, where it acts, or empty."""
+        """Name of the belt section that the effect adds to its machine, or empty."""
         return self.definition.belt.format(site=self.site)
 
     @property
     def measuring_range(self) -> tuple[Any, Any] | None:
-        """Lowest and highest measurement of the sensor, in its unit, if the effect limits them."""
+        """Lowest and highest measurement, in its unit, if the effect limits a sensor's range."""
         ends = self.definition.range_ends
         return ends and (self.parameters[ends[0]], self.parameters[ends[1]])
 
     def components(self, machine: Components) -> tuple[str, ...]:
-        """Return the components of a machine on which the effect acts.
+        """Return the names of the components of a machine on which the effect acts.
 
-        They are all drives for the site "drives", all belts for "belts", and all coordinates for "machine";
-        but ("machine",) for an effect that adds components (`Effect.structure`) or changes the clock, and the
-        added belt, if there is one.
+        The site "drives" means all drives, "belts" all belts, "machine" all coordinates. An effect that adds
+        components (`Effect.structure`) or changes the clock acts on ("machine",) and on the belt that it
+        adds, if any.
         """
         kind = self.definition.site
         if self.definition.belt:
@@ -459,11 +459,11 @@ class AppliedEffect:
         return (self.site,) if self.site in names or not names else names
 
     def with_parameters(self, parameters: Mapping[str, float]) -> AppliedEffect:
-        """Return a copy of the effect with other values, SI, of all parameters, without checks."""
+        """Return a copy with all parameter values replaced, SI, without checks."""
         return dataclasses.replace(self, parameters=dict(parameters))
 
     def check_site(self, machine: Components) -> None:
-        """Raise a ValueError, with possible sites, if a machine lacks the site or has the effect there."""
+        """Raise a ValueError if the machine lacks the site, or already has this effect there."""
         if any(present.label == self.label for present in machine.effects):
             raise ValueError(f"effect {self.label}: machine {machine.name!r} has it already")
         sites = self.definition.possible_sites(machine)

@@ -1,4 +1,4 @@
-"""Standard deviations of quantities that follow from identified parameters."""
+"""Standard deviations of quantities that are computed from identified parameters."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from .machine import Machine
 def standard_deviations(
     machine: Machine, quantity: Callable[[Machine], Array], step: float = 1e-2
 ) -> Array | None:
-    """Propagate the covariance of the identified parameters to quantities, to first order (delta method).
+    """Compute standard deviations of quantities from the identified parameters' covariance (delta method).
 
     Args:
         machine: Machine with the covariance.
         quantity: Function from a machine to quantities in any unit, an array of any one shape.
-        step: Step of the central differences, in standard deviations of the parameter. Where a quantity
-            jumps, short ones exaggerate its change.
+        step: Step of the central differences, in standard deviations of the parameter. Short steps exaggerate
+            the change of a quantity that jumps.
 
     Returns:
         Standard deviations in the units of the quantities, in their shape; None if the machine has no

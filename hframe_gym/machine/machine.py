@@ -32,7 +32,7 @@ _COMPONENTS = {Coordinate: "coordinates", Belt: "belts", Drive: "drives", Sensor
 
 
 class Contact(NamedTuple):
-    """Contact of two coordinates whose stiffness is far above that of belts.
+    """Stiff contact of two coordinates, such as the teeth of a gear.
 
     Attributes:
         near: Name of the coordinate before it, on the drive's side.
@@ -113,12 +113,15 @@ class Machine:
 
     @cached_property
     def drive_laws(self) -> tuple[DriveLaw, ...]:
-        """Laws of the drives whose torque is not that of the motor's equation, such as servos."""
+        """Torque laws of the drives that have one, such as servos."""
         return tuple(law for law in (drive.law for drive in self.drives) if law)
 
     @cached_property
     def shape(self) -> tuple[object, ...]:
-        """Structure without parameter values: components, coefficients, effects; equal shapes share code."""
+        """Structure without parameter values: components, coefficients, effects.
+
+        Machines with equal ones share compiled code.
+        """
         return (
             tuple((c.name, c.kind) for c in self.coordinates),
             tuple((b.name, tuple(b.extension.items()), tuple(b.length.items())) for b in self.belts),
@@ -143,7 +146,7 @@ class Machine:
         return self.drives[self._index("drive", name, [d.name for d in self.drives])]
 
     def sensor(self, channel: str) -> Sensor:
-        """Return the sensor of a channel, for example "x_m"; an InputError lists all channels."""
+        """Return the sensor of a channel, for example "x_m"; an InputError lists the channels otherwise."""
         return self.sensors[self._index("sensor", channel, self.output_channels)]
 
     def _index(self, kind: str, name: str, names: Sequence[str]) -> int:
@@ -186,22 +189,21 @@ class Machine:
 
     @cached_property
     def sensor_matrix(self) -> Array:
-        """Readings of sensors of positions per unit of each coordinate, SI, shape (sensors, coordinates).
+        """Readings of the position sensors per unit of each coordinate, SI, shape (sensors, coordinates).
 
-        Rows of other sensors are zero. Coefficients of products such as "y*yaw" (`Sensor.row`) have no
-        column.
+        Rows of other sensors are zero. Products such as "y*yaw" (`Sensor.row`) are left out.
         """
         nothing = np.zeros(len(self.coordinates))
         return np.array([self.coefficients(s.row) if s.of_position else nothing for s in self.sensors])
 
     @cached_property
     def position_commands(self) -> dict[str, int]:
-        """Column of the inputs that commands the position of a coordinate, by the coordinate's name."""
+        """Index of the input that commands a coordinate's position, by the coordinate's name."""
         return {d.coordinate: k for k, d in enumerate(self.drives) if d.command == "position"}
 
     @property
     def commands_in_words(self) -> str:
-        """The drives' commands: "voltages", "duty cycles", "currents", ... or "set points"."""
+        """The inputs in words, for messages: "voltages", "duty cycles", "currents" or "set points"."""
         quantities = {
             "duty cycle" if DRIVE_KINDS.get(drive.kind).fraction else drive.command for drive in self.drives
         }
@@ -220,18 +222,18 @@ class Machine:
 
     @property
     def shows_direction(self) -> bool:
-        """Whether a sensor shows the direction of a motion, as a counter of pulses does not."""
+        """Whether any sensor measures a motion with its sign; a counter of pulses does not."""
         return any(sensor.has_direction for sensor in self.sensors)
 
     def sensor_unit(self, sensor: Sensor) -> str:
-        """Return a sensor's unit, such as "rad/s": that of its kind, or its quantity's at its coordinate."""
+        """Return the unit of a sensor's measurements, such as "rad/s"."""
         return self.variant(sensor).units["measurement"]
 
     def coordinate_of_sensor(self, sensor: Sensor) -> str:
         """Return the name of the coordinate that a sensor mainly measures.
 
-        That of a current is the one that the drive moves, that of a tension the one that stretches the belt
-        most.
+        For a current sensor it is the coordinate that the drive moves, for a tension sensor the coordinate
+        that stretches the belt most.
         """
         match sensor.sensed.component:
             case "drive":
@@ -262,12 +264,12 @@ class Machine:
 
     @cached_property
     def tool_axes(self) -> tuple[str, ...]:
-        """Names of controlled axes: the coordinates that give the tool position, in the order of its axes.
+        """Names of the coordinates that give the tool position, in the order of its axes.
 
         With one or two linear coordinates: all of them. With more: ("x", "y"), or () if one of these names is
-        missing. Without linear coordinates, the one or two rotary coordinates that no drive moves directly (a
-        load behind an elastic belt), or else those that the drives move; () if there are not as many of
-        either as drives.
+        missing. Without linear coordinates there must be as many axes as drives, one or two: the rotary
+        coordinates that no drive moves directly (a load behind an elastic belt), or else the driven ones; ()
+        if neither number fits.
         """
         linear = tuple(c.name for c in self.coordinates if c.kind == "linear")
         if len(linear) > 2:
@@ -289,10 +291,10 @@ class Machine:
 
     @cached_property
     def axis_ranges(self) -> tuple[tuple[float, float] | None, ...]:
-        """Lowest and highest position of each controlled axis, in its unit: its coordinate's declared range.
+        """Lowest and highest position of each controlled axis, in its unit.
 
-        A rotary axis without one has `DEFAULT_TURNS`, one turn to either side of zero. It is None for a
-        linear axis without range.
+        A rotary axis without a declared range has `DEFAULT_TURNS`, one turn to either side of zero. A linear
+        axis without one has None.
         """
         declared = [self.coordinate(name).range for name in self.tool_axes]
         default = DEFAULT_TURNS if self.axis_unit is RADIANS else None
@@ -300,7 +302,7 @@ class Machine:
 
     @cached_property
     def spring_loaded(self) -> tuple[str, ...]:
-        """Names of the coordinates that effects add, such as bridge yaw; a spring centers each at zero."""
+        """Names of coordinates that effects add and a spring holds at zero, such as bridge yaw."""
         return tuple(e.coordinate for e in self.effects if e.coordinate)
 
     @cached_property
@@ -314,7 +316,7 @@ class Machine:
         return tuple(contacts)
 
     def other_axis(self, coordinate: str) -> str | None:
-        """Return the one linear coordinate that remains without a coordinate, such as y for x, or None."""
+        """Return the other one of two linear coordinates, such as y for x; None if there are not two."""
         others = [c.name for c in self.coordinates if c.kind == "linear" and c.name != coordinate]
         return others[0] if len(others) == 1 else None
 
@@ -334,7 +336,7 @@ class Machine:
         return values
 
     def untied(self, name: str) -> tuple[str, float]:
-        """Return the parameter to which a parameter is tied (`ties`), itself if it is not, and the factor."""
+        """Return the parameter that determines this one by `ties`, and the factor; itself and 1 if none."""
         factor = 1.0
         while name in self.ties:
             name, tie = self.ties[name]
@@ -342,7 +344,7 @@ class Machine:
         return name, factor
 
     def with_tied(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Return values of parameters by full name, numbers or arrays, with those tied to them."""
+        """Add the values of tied parameters (`ties`) to parameter values, numbers or arrays, by full name."""
         owners = {tied: self.untied(tied) for tied in self.ties}
         return {**values, **{n: factor * values[o] for n, (o, factor) in owners.items() if o in values}}
 
@@ -361,7 +363,7 @@ class Machine:
         }
 
     def variant(self, component: Component) -> Variant:
-        """Return what a component's kind, such as "rotary", changes: units, and attributes that it lacks."""
+        """Return what a component's kind and its coordinate determine: units, defaults, absent attributes."""
         if isinstance(component, Coordinate):
             return Coordinate.variant(component.kind)
         if isinstance(component, Drive):
@@ -432,7 +434,7 @@ class Machine:
     def with_components(
         self, *components: Component, ties: Mapping[str, tuple[str, float]] | None = None
     ) -> Machine:
-        """Return a copy with other components in place of those of their type and name, or in addition.
+        """Return a copy with these components; each replaces the one of its type and name, or is added.
 
         Args:
             *components: Coordinates, belts, drives and sensors, in any order.
@@ -472,7 +474,12 @@ class Machine:
                 raise InputError(f"{type(component).__name__} {component.label!r}: {error}") from None
 
     def with_effects(self, *effects: AppliedEffect) -> Machine:
-        """Return a copy with more effects, each at its site; some also add components (`Effect.structure`).
+        """Return a copy with more effects; some also add components to the machine (`Effect.structure`).
+
+        Raises:
+            InputError: If an argument is not an `AppliedEffect`.
+            ValueError: If the machine lacks the site of an effect or components that it needs, or already has
+                the effect there.
 
         Raises:
             ValueError: If the machine lacks the site of an effect or components that it needs, or has it
@@ -517,10 +524,9 @@ class Machine:
 
 
 def require_machine(machine: object) -> None:
-    """Raise an InputError if an argument is no machine, such as one's name or file, or an impossible one.
+    """Raise an InputError if an argument is not a `Machine` (but a name or a path), or has impossible values.
 
-    The values of a file are checked when it is read, and those of effects when they are applied. A program
-    may have given a component a negative mass, or one that is not a number.
+    Readers of files check their values, but a program may have given a component a negative mass or NaN.
     """
     if not isinstance(machine, Machine):
         raise InputError(f"machine is {machine!r}; give a Machine, such as that of load_machine('hframe')")

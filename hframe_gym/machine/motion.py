@@ -24,7 +24,7 @@ FASTEST_SLOW_LOAD_HZ = 4.0
 
 
 def observed_coordinates(machine: Machine) -> tuple[str, ...]:
-    """List the coordinates of a full-state observation: the tool's axes, then the other driven ones by drive.
+    """List the coordinates of a full-state observation: the tool's axes, then the other driven coordinates.
 
     The observation holds the positions of these coordinates, then their velocities.
     """
@@ -32,23 +32,23 @@ def observed_coordinates(machine: Machine) -> tuple[str, ...]:
 
 
 def pulley_names(machine: Machine) -> tuple[str, ...]:
-    """List a machine's pulleys: its rotary coordinates, but those held by a spring, such as bridge yaw."""
+    """List a machine's pulleys: rotary coordinates, except those that a spring holds, such as bridge yaw."""
     return tuple(
         c.name for c in machine.coordinates if c.kind == "rotary" and c.name not in machine.spring_loaded
     )
 
 
 def rigid_counterpart(machine: Machine, *, with_slow_loads: bool = False) -> Machine:
-    """Return the machine for which controllers are designed: coordinates that effects add stay at zero.
+    """Return the simplified machine for which controllers are designed: without coordinates that effects add.
 
     A bridge does not yaw, a payload does not swing, the frame that carries a sensor rests: no sensor measures
     these coordinates, and a controller does not act against the vibration that they cause. The effects that
     add them are left out with their parameters; a machine without such effects is returned as it is. A load
     that is left out moves with its carriage, unless it is slow (`slow_loads`): then the carriage moves alone.
-    Coordinates that are not held by a spring, such as idlers or the pulley behind a gear's gap, remain.
+    Added coordinates that no spring holds, such as idlers or the pulley behind a gear's gap, remain.
 
     Args:
-        with_slow_loads: Whether the slow loads remain, as an estimator of the state needs them.
+        with_slow_loads: Whether slow loads remain in the machine; a state estimator needs them.
     """
     slow = slow_loads(machine)
     left_out = tuple(e for e in machine.effects if e.coordinate and not (with_slow_loads and e in slow))
@@ -77,7 +77,7 @@ def rigid_counterpart(machine: Machine, *, with_slow_loads: bool = False) -> Mac
 
 
 def slow_loads(machine: Machine) -> tuple[AppliedEffect, ...]:
-    """Return the effects that add a load that swings so slowly that its carriage moves to a goal under it."""
+    """Return the effects that add a load so slow that its carriage reaches a goal before the load follows."""
     return tuple(
         e for e in machine.effects if e.definition.reaction and _natural_frequency(e) < FASTEST_SLOW_LOAD_HZ
     )
@@ -123,17 +123,16 @@ def rest_state(machine: Machine, position: ArrayLike | None = None, *, leading: 
 
 
 def commanded_state(machine: Machine, commands: ArrayLike) -> Array:
-    """Return the state at rest with coordinates of commanded position where the command holds them.
+    """Return the state at rest in which drives with position commands hold their coordinates as commanded.
 
-    Belts are not stretched, or as little as possible.
+    Belts are stretched as little as possible.
 
     Args:
-        machine: Machine, of whose drives some may follow a position.
         commands: Inputs, in the drives' units, shape (drives,); only commanded positions matter.
 
     Returns:
         Positions of all coordinates, m or rad, then velocities, which are zero, shape (2 * coordinates,).
-        That of `rest_state` if no position is commanded.
+        Without position commands, it is the result of `rest_state`.
     """
     held = [machine.coordinate_names.index(name) for name in machine.position_commands]
     if not held:
@@ -163,9 +162,9 @@ def _unstretched(machine: Machine, leaders: Sequence[int], position: ArrayLike) 
 
 
 def rest_positions_per_axis(machine: Machine) -> Array:
-    """Return coordinates' motion per travel of an axis with unstretched belts, SI, shape (coordinates, axes).
+    """Return all coordinates' motion per tool motion with unstretched belts, SI, shape (coordinates, axes).
 
-    Where the tool is at p, the positions in `rest_state` are this matrix times p.
+    With the tool at p, the positions in `rest_state` are this matrix times p.
     """
     tool = [machine.coordinate_names.index(axis) for axis in machine.tool_axes]
     others = [i for i, c in enumerate(machine.coordinates) if c.kind == "linear" and i not in tool]
@@ -207,9 +206,9 @@ def rigid_motions(machine: Machine) -> dict[str, Array]:
 
 
 def carried_through_contacts(machine: Machine, displacements: Array) -> Array:
-    """Return `displacements` that move what is behind a contact like its near side, shape (n, coordinates).
+    """Return displacements in which the coordinates behind stiff contacts move along with those before them.
 
-    A displacement of one side alone would be a blow, because contacts are stiff.
+    A displacement of one side alone would cause a blow. The result has the shape (n, coordinates).
 
     Args:
         displacements: Displacements of the coordinates, m or rad, or their rates, shape (n, coordinates).
@@ -223,13 +222,13 @@ def carried_through_contacts(machine: Machine, displacements: Array) -> Array:
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """Inertia, force and speed along one rigid motion at rated voltage, to check a machine's plausibility.
+    """Inertia, largest force and speed along one rigid motion, to check whether a machine file is plausible.
 
     Attributes:
         inertia: Inertia that moves, referred to the leading coordinate, kg or kg m^2.
         force: Force of all drives at standstill, minus Coulomb friction, N or Nm.
-        speed: Steady speed at rated voltage, m/s or rad/s, at most that which drives with set points permit;
-            infinite without friction, back-EMF and such a limit.
+        speed: Steady speed at rated voltage, m/s or rad/s, within the limits of drives with set points;
+            infinite if neither friction, back-EMF nor a limit holds it back.
     """
 
     inertia: float

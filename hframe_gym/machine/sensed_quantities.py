@@ -10,11 +10,11 @@ SensorQuantity = Literal["position", "speed", "acceleration", "current", "tensio
 
 @dataclass(frozen=True)
 class SensedQuantity:
-    """What all sensors of one quantity have in common.
+    """Properties of a measured quantity, such as position or current, that all its sensors have in common.
 
     Attributes:
         component: Kind of the components that `Sensor.row` names.
-        jumps: Whether it jumps with the voltage, and is therefore that under the voltage before the sample.
+        jumps: Whether it jumps with the voltage; a sample then shows it under the voltage before the sample.
         is_force: Whether it is a force, or proportional to one by a parameter that is not refitted. Only such
             a measurement determines forces and masses themselves; motion determines their ratios.
     """

@@ -29,8 +29,8 @@ class SensorKind:
             unknown, and elastic belts may lie between it and the tool.
         has_offset: Whether the measurements have an unknown constant offset, as those of an accelerometer do,
             which also feels gravity. Comparisons with a simulation then ignore the mean of the difference.
-        turn: Size of the range after which the measurement begins anew, in the channel's unit; None if it
-            does not.
+        turn: Range of an angle that wraps around, such as 2 pi, in the channel's unit; None if it does not
+            wrap.
         unit: Unit of the measurement, if it is not that of the quantity: V for the generator of a tachometer,
             whose coefficients in `Sensor.row` are in V per rad/s.
     """
@@ -62,12 +62,12 @@ class SensorKind:
 
     @classmethod
     def quantity(cls) -> SensorQuantity:
-        """Return the quantity to which the kind responds, the argument of `signal`; ValueError if none."""
+        """Return the name of the measured quantity, the argument of `signal`; ValueError if there is none."""
         return _quantity_of(cls.signal)
 
     @classmethod
     def has_direction(cls) -> bool:
-        """Return whether ideal measurements tell a motion from its reverse, unlike an absolute value."""
+        """Return whether the measurement changes its sign with the direction, unlike an absolute value."""
         return bool(cls.signal(-1.0) != cls.signal(1.0))
 
     @staticmethod
@@ -175,7 +175,7 @@ class BeltForceSensor(SensorKind):
 
 @SENSOR_KINDS.register("absolute-angle")
 class AbsoluteAngle(SensorKind):
-    """An absolute encoder of one turn: the angle, whose zero is known, begins anew at 0 after 2 pi rad."""
+    """An absolute encoder of one turn: its zero is known, and the angle wraps around from 2 pi to 0 rad."""
 
     turn: ClassVar[float] = 2.0 * math.pi
 

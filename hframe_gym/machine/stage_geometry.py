@@ -77,7 +77,7 @@ class StageGeometry:
         return (point[1], point[0]) if self.bridge_axis == self._swapped_axis else point
 
     def rails(self) -> list[Box]:
-        """Compute the rectangles of two rails, or one if one axis: (x, y) of two opposite corners, m."""
+        """Compute two opposite corners (x, y), m, of each rail: two rails, or one for a single axis."""
         if self.bridge_axis is None:
             return [(self.x0 - 0.03, -0.03, self.x1 + 0.03, 0.03)]
         if self.bridge_axis == 0:
@@ -85,7 +85,7 @@ class StageGeometry:
         return [(x - 0.03, self.y0 - 0.03, x + 0.03, self.y1 + 0.03) for x in (self.x0, self.x1)]
 
     def bridge(self, x: float, y: float) -> list[Box]:
-        """Compute the rectangles of end plates and beam for a tool at `x`, `y`, m; none for a single axis."""
+        """Compute rectangles of the bridge's parts with the tool at `x`, `y`, m; none for a single axis."""
         if self.bridge_axis is None:
             return []
         u, (first, last) = (x, (self.y0, self.y1)) if self.bridge_axis == 0 else (y, (self.x0, self.x1))
@@ -96,12 +96,12 @@ class StageGeometry:
         return boxes if self.bridge_axis == 0 else [(b, a, d, c) for a, b, c, d in boxes]
 
     def pulleys(self, x: float, y: float = 0.0) -> list[Point]:
-        """Compute the centers (x, y), m, of the pulleys to draw for a tool at `x`, `y`, m; here none."""
+        """Compute the centers (x, y), m, of the pulleys with the tool at `x`, `y`, m; none without belts."""
         del x, y
         return []
 
     def sections(self, x: float, y: float) -> dict[str, list[Point]]:
-        """Compute the vertices (x, y), m, of belt sections, by name, for a tool at `x`, `y`, m; here none."""
+        """Compute the vertices (x, y), m, of the belt sections, by name, with the tool at `x`, `y`, m."""
         del x, y
         return {}
 
@@ -133,9 +133,7 @@ class DialGeometry(StageGeometry):
 
 
 def drawn_point(unit: AxisUnit, position: Sequence[float]) -> Point:
-    """Return the point at which a drawing shows the tool: (x, 0) of a linear axis, or an arm's end.
-
-    Two rotary axes are drawn like x and y, with 0.1 m for a rad.
+    """Return the point (x, y), m, at which a drawing shows a tool position: (x, 0), or the end of an arm.
 
     Args:
         position: Tool position along one or two axes, m or rad.
@@ -148,7 +146,7 @@ def drawn_point(unit: AxisUnit, position: Sequence[float]) -> Point:
 
 
 def position_of_point(unit: AxisUnit, point: Point, near: Sequence[float]) -> tuple[float, ...]:
-    """Return the tool position that a point of a drawing shows, the inverse of `drawn_point`.
+    """Return the tool position, m or rad, at a point of a drawing, the inverse of `drawn_point`.
 
     Args:
         point: Point (x, y), m.
@@ -331,7 +329,7 @@ def _arc(center: Point, start: float, end: float, radius: float = PULLEY_RADIUS)
 
 
 def stage_geometry(machine: Machine) -> StageGeometry:
-    """Choose how to draw a machine from above (plan view) by its kinematics; names of belts do not matter.
+    """Choose how to draw a machine from above, by its kinematics; names of belts do not matter.
 
     Returns:
         `BeltGeometry` for an H-frame (one belt around both motors), `CoreXYGeometry` for a CoreXY stage (a

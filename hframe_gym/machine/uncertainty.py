@@ -30,6 +30,6 @@ class Uncertainty:
 
     @property
     def correlation(self) -> Array:
-        """Correlation coefficients of the parameters, shape (k, k); 0 with a parameter without variance."""
+        """Correlation matrix of the parameters, shape (k, k); a parameter without variance has 0."""
         std = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
         return self.covariance / np.outer(std, std)

@@ -68,7 +68,7 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def local_processes(count: int) -> Iterator[Callable[..., Any]]:
-    """Provide a function that submits a task to local processes."""
+    """Start `count` worker processes; yield a function that submits a task to them, as `Executor.submit`."""
     workers = [_LocalWorker() for _ in range(count)]
     idle: SimpleQueue[_LocalWorker] = SimpleQueue()
     for worker in workers:

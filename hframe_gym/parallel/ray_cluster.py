@@ -23,7 +23,7 @@ _HEALTH_TIMEOUT_S = 20.0  # the check itself starts a Python process, which take
 
 @contextmanager
 def ray_workers(address: str, cores: int) -> Iterator[Callable[..., Any]]:
-    """Provide a function that submits a task to Ray."""
+    """Connect to Ray; yield a function that submits a task to its workers, as `Executor.submit`."""
     # Ray then sends no usage statistics, and prints the workers' lines as they are.
     for variable in ("RAY_USAGE_STATS_ENABLED", "RAY_DEDUP_LOGS", "RAY_COLOR_PREFIX"):
         os.environ.setdefault(variable, "0")

@@ -41,8 +41,7 @@ _LIMIT = _Limit()
 def single_threaded_linear_algebra() -> Iterator[None]:
     """Limit the linear algebra libraries of NumPy and SciPy to one thread, as a context or a decorator.
 
-    More threads change the order of sums, and with it the last bits of results. Within another such context,
-    it takes no time.
+    More threads change the order of sums, and with it the last bits of results. A nested use takes no time.
     """
     _LIMIT.begin()
     try:

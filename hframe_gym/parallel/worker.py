@@ -23,7 +23,7 @@ Result = TypeVar("Result")
 def run_task(
     function: Callable[[Item], Result], item: Item, version: str, settings: Mapping[str, str]
 ) -> Result:
-    """Run a task in a worker, with one thread and the settings of the calling program."""
+    """Run a task in a worker process, with one thread and the environment variables in `settings`."""
     from threadpoolctl import threadpool_limits
 
     if version != __version__:
@@ -37,5 +37,5 @@ def run_task(
 
 
 def task_settings() -> dict[str, str]:
-    """Return the environment variables of a worker: those of this package as here, and one thread."""
+    """Return environment variables for workers: the package's present settings, and one thread."""
     return {k: v for k, v in os.environ.items() if k.startswith("HFRAME_")} | _ONE_THREAD

@@ -29,10 +29,10 @@ SERIES = ("after", "before", "series3", "series4", "series5", "series6")  # orde
 
 
 def color(role: str) -> str:
-    """Return the color of a plot element, such as "ink" or "before", as it is on a light background.
+    """Return the color of a plot element, such as "ink" or "before", on a light background.
 
-    Plots are drawn with these colors. In a web page, `panel_svg` replaces them by variables of the style
-    sheet, which give other colors on a dark display.
+    In a web page, `panel_svg` replaces these colors by variables of the style sheet, which gives others on a
+    dark display.
 
     Args:
         role: Element: "background", "surface", "line", "ink", "muted", "link", "good", "neutral", "warning",

@@ -41,7 +41,7 @@ class Panel(NamedTuple):
 
 
 def plot_style() -> Any:  # matplotlib's type lists the names of all settings
-    """Return the settings of matplotlib with which plots are drawn, for `matplotlib.rc_context`."""
+    """Return the package's plot settings, for `matplotlib.rc_context`."""
     with naming_extra("report", NEED):
         from cycler import cycler
     ink, muted, line = color("ink"), color("muted"), color("line")
@@ -77,8 +77,8 @@ def panel_svg(panel: Panel, prefix: str) -> str:
     follows the light or dark display of the reader.
 
     Args:
-        prefix: Prefix of the identifiers in the element, a different one for each plot of a page: letters,
-            digits, hyphens.
+        prefix: Prefix of the element's identifiers (letters, digits, hyphens); each plot of a page needs
+            another one.
 
     Raises:
         ImportError: If matplotlib or Jinja is missing; the message says how to install them.

@@ -1,4 +1,4 @@
-"""Few rows of long curves that still show their peaks."""
+"""Thin out long curves so that plots still show their peaks."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from ..arrays import Array
 
 
 def extreme_rows(curves: Sequence[Array], intervals: int) -> NDArray[np.intp]:
-    """Choose the rows with the smallest and the largest value of each curve in each of many equal intervals.
+    """Choose rows with which a plot of long curves still shows every peak.
 
-    Peaks stay visible, however short they are. Where a curve has no finite value in an interval, its first
-    row is kept, which shows the gap.
+    The rows are divided into equal intervals. Of each interval, the rows with the smallest and the largest
+    value of each curve are kept. Where a curve has no finite value in an interval, its first row is kept,
+    which shows the gap.
 
     Args:
         curves: Curves with the same rows, in any units, shape (n,) each; NaN where nothing was measured.

@@ -22,17 +22,19 @@ SAME_TIME_S = 1e-9  # s; times that differ by less are equal: sums of periods ar
 
 
 def encoders_drift(machine: Machine, recordings: Sequence[Recording], period: float) -> bool:
-    """Decide whether the encoders drift: whether an estimator with `drifting_encoders` predicts runs better.
+    """Decide from recordings whether a state estimator should assume drifting encoders.
+
+    It should if this makes the measurements of the runs more probable.
 
     Args:
         machine: Machine of the estimator, with the sensors of the recordings.
-        recordings: Runs to which the machine was not fitted. They begin at rest, and show what the controller
-            will observe: sensors with the same zeros.
+        recordings: Runs to which the machine was not fitted. They begin at rest, and their sensors have the
+            zeros that the controller will observe.
         period: Control period, s.
 
     Returns:
-        Whether the measurements of all runs, one a period, are more probable if errors of the encoders are
-        estimated.
+        Whether an estimator with `drifting_encoders` gives the measurements of all runs, one per period, a
+        higher probability.
 
     Raises:
         InputError: If there are no recordings, one lacks a measurement or is shorter than a period, or a

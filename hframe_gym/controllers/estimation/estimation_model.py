@@ -28,13 +28,13 @@ SMALLEST_NOISE_M = 1e-7
 
 
 def prior_deviation(machine: Machine, name: str, declared: float) -> float:
-    """Return how uncertain a parameter is before estimation: std of ln(true value / value), dimensionless.
+    """Return the prior standard deviation of ln(true value / declared value) of a parameter, dimensionless.
 
     Args:
         machine: Machine with the value, and with its covariance if it was identified.
         name: Full name of the parameter, for example "x.mass".
-        declared: Standard deviation for a value that was not identified, dimensionless. It is also the upper
-            limit.
+        declared: Result for a parameter that was not identified, dimensionless; also the upper limit of the
+            result.
     """
     std = machine.uncertainty.std(name) if machine.uncertainty else None
     value = machine.parameters[name]
@@ -59,7 +59,9 @@ class ParameterRatios:
         self._declared = np.array(list(machine.parameters.values()))
 
     def parameters(self, logarithms: Array) -> ParameterRows:
-        """Compute all parameters; those that are estimated are the declared values times exp(logarithm).
+        """Compute the values of all parameters.
+
+        An estimated one is its declared value times exp(logarithm).
 
         Args:
             logarithms: Natural logarithms of the ratios of the k estimated parameters, shape (B, k).
@@ -70,7 +72,7 @@ class ParameterRatios:
 
 
 class AugmentedParameters(ParameterRatios):
-    """Parameters of a machine, estimated with its state: nonzero masses, friction, EA and motor constants.
+    """Parameters that are estimated together with the state: nonzero masses, friction, EA, motor constants.
 
     EA is the tensile stiffness of a belt (modulus times cross section), N; its estimate also absorbs the
     error of the belt's length.
@@ -99,7 +101,7 @@ class AugmentedParameters(ParameterRatios):
         return np.exp(self.clip(logarithms))
 
     def clip(self, logarithms: Array) -> Array:
-        """Limit `logarithms` of parameter ratios, shape (B, k), to [-log 4, log 4] (`LARGEST_RATIO`)."""
+        """Limit `logarithms` of parameter ratios, shape (B, k), to [-ln 4, ln 4] (`LARGEST_RATIO`)."""
         return np.clip(logarithms, -np.log(LARGEST_RATIO), np.log(LARGEST_RATIO))
 
     @override
@@ -117,9 +119,9 @@ class MeasurementModel:
     """Measurement equation z = H s + d(s) of a machine's declared sensors, scaled to meters of belt travel.
 
     The state s holds the belt travel of the n coordinates, m, and its velocity, m/s; d(s) is what effects of
-    the sensors, such as an interpolation error, add to a linear measurement. Sensors of positions and speeds
-    are used; those of accelerations, currents and unsigned speeds are not linear in the state, and an angle
-    that begins anew after each turn does not tell the position, so that they count as outside their range.
+    the sensors, such as an interpolation error, add to a linear measurement. Only sensors of positions and
+    speeds are used. Others count as outside their range: accelerations, currents and unsigned speeds are not
+    linear in the state, and an angle that wraps around does not determine the position.
 
     Args:
         model: Model of the machine whose `sensors`, with their ranges and delays, supply the measurements.
@@ -179,14 +181,14 @@ class MeasurementModel:
         return np.stack(np.broadcast_arrays(*readings, at_rest[0])[:-1], axis=1)
 
     def deviation(self, states: TravelStates) -> Array:
-        """Compute d(s), what effects add to a linear measurement, m or m/s, shape (B, channels), or 0."""
+        """Compute d(s), what effects add to the linear measurement, m or m/s, shape (B, channels), or 0."""
         if self.is_linear:
             return np.zeros((len(states), self.channels))
         deviation = self._readings(states) * self._unit - states @ self._undelayed.T
         return np.where(self._used, deviation, 0.0)
 
     def to_travel(self, measurements: Array) -> Array:
-        """Scale measurements to belt travel, m, or its rate, m/s, as the measurement equation has them.
+        """Scale measurements to belt travel, m, or its rate, m/s, for the measurement equation.
 
         Args:
             measurements: Measurements in the units of the channels, shape (B, channels).
@@ -200,7 +202,7 @@ class MeasurementModel:
     def in_range(self, measurements: Array) -> Mask:
         """Test which measurements lie strictly inside the ranges of their sensors, shape (B, channels).
 
-        At an end of its range, a sensor does not follow the position; such a measurement must not correct an
+        At an end of its range, a sensor does not follow the position. Such a measurement must not correct an
         estimate.
 
         Args:

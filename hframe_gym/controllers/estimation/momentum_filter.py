@@ -137,8 +137,7 @@ class MomentumFilter:
     def friction_voltage_ahead(self, goals: Array) -> Array:
         """Compute voltages that compensate the error of the modeled Coulomb friction along a path.
 
-        Friction opposes the velocity of the goals, which follows from the differences of k goals for k - 2
-        periods.
+        Friction opposes the velocity of the goals, which is computed from differences of the k goals.
 
         Args:
             goals: Tool goals now and at the ends of the next k - 1 periods, m, shape (B, k, axes), k > 2.

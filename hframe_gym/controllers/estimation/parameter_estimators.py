@@ -135,9 +135,11 @@ class ParameterEstimator(ABC):
         self.memory[starts] = 0.0
 
     def parameters(self, estimates: Array) -> ParameterRows:
-        """Convert `estimates` to the values of all parameters; the others keep their declared values.
+        """Convert `estimates`, shape (B, size), to values of all parameters.
 
-        The shape is that of the attribute `estimates`, shape (B, size); missing voltages are ignored.
+        The rest are the declared values.
+
+        Missing voltages among the estimates are ignored.
         """
         return self._ratios.parameters(estimates[:, : self._offsets.start])
 
@@ -360,5 +362,5 @@ class ParameterWindow(ParameterEstimator):
 
     @property
     def offset(self) -> Array:
-        """Estimated missing voltages: those at the drives that the simulation lacks, V, shape (B, drives)."""
+        """Estimated missing voltages at the drives, which the simulation lacks, V, shape (B, drives)."""
         return self.estimates[:, self._offsets] * self._model.rated

@@ -23,12 +23,12 @@ class RecursiveLeastSquares:
         self.resize(0)
 
     def resize(self, batch: int) -> None:
-        """Make room for the estimates of `batch` machines; call `restart` for all of them next."""
+        """Allocate the estimates of `batch` machines; call `restart` for all of them next."""
         size = len(self._prior_covariance)
         self.estimates, self._covariance = np.zeros((batch, size)), np.zeros((batch, size, size))
 
     def restart(self, starts: Mask) -> None:
-        """Return to the prior, with estimates of zero, where an episode starts."""
+        """Reset the estimates to zero, and their covariance to the prior, where an episode starts."""
         self.estimates[starts], self._covariance[starts] = 0.0, self._prior_covariance
 
     def correct(self, innovation: Array, matrix: Array, variance: Array) -> None:

@@ -155,10 +155,10 @@ class StateEstimator:
 
     @property
     def log_likelihood(self) -> Array:
-        """Logarithm of the density of the last valid measurements, as predicted from all before, shape (B,).
+        """Log-likelihood of the last valid measurements, given all earlier ones, shape (B,).
 
-        Measurements count in m of belt travel. Of estimators with the same sensors, the one under which
-        recordings are more probable describes them better.
+        Measurements count in m of belt travel. To compare two estimators with the same sensors, sum it over
+        recordings: the larger sum belongs to the better model.
         """
         squared, covariance, valid = self._predicted
         # Invalid measurements are predicted with the variance of their noise alone.
@@ -191,7 +191,7 @@ class StateEstimator:
         self._starts.reset(mask)
 
     def send(self, volts: Volts) -> None:
-        """Record the commanded voltages of the period that starts now, from which `update` predicts."""
+        """Store the voltages commanded for the period that starts now; `update` predicts with them."""
         self._dead_time.send(volts)
 
     def replace_last(self, volts: Volts) -> None:
@@ -208,9 +208,9 @@ class StateEstimator:
 
         Args:
             measurements: One measurement per sensor, m or rad, shape (B, channels).
-            arrived: Times of the last period, from 0 to the period, s, shape (k,), and the voltages that
-                reached the drives from each of them on, V, shape (B, k, drives), the last entry repeated; for
-                a recording whose voltages also change between the control periods. Default: the voltages of
+            arrived: Times within the last period, from 0 to the period, s, shape (k,), and the voltages that
+                reached the drives from each time on, V, shape (B, k, drives), the last entry repeated. It is
+                for recordings whose voltages also change within a control period. Default: the voltages of
                 `send`.
 
         Raises:

@@ -91,7 +91,7 @@ class SymbolicModel:
         return self._rate(state, action, time, self._parameters, self._start)
 
     def current_excess(self, state: Any, action: Any) -> list[Any]:
-        """Return (current / limit)^2 - 1, which must be <= 0, dimensionless, of each drive with a limit."""
+        """Return the constraints (current / limit)^2 - 1 <= 0, dimensionless, of drives with a limit."""
         voltages, point = self._voltages(action), self._point(state, 0.0)
         current = self._equations.ohmic_current
         return [(current(j, point, voltages[j]) / limit) ** 2 - 1.0 for j, limit in self._current_limits]
@@ -128,10 +128,7 @@ class SymbolicModel:
 
 
 def voltage_limits(equations: Equations) -> tuple[list[Any], list[Any]]:
-    """Compute the motor voltages, V, for commands of minus and plus the rated voltage, one list each.
-
-    They differ from the commands if the machine has effects on its drives, such as an offset or a dead band.
-    """
+    """Compute the lowest and the highest motor voltages, V, which rated commands of either sign give."""
     rated = [d.rated_voltage for d in equations.machine.drives]
     return equations.motor_voltages([-volts for volts in rated]), equations.motor_voltages(rated)
 

@@ -63,12 +63,12 @@ class DeadTime:
         return self._sent[:, 0]
 
     def mean_arrived(self) -> Volts:
-        """Return the mean voltages that acted on the drives in the last period, sent a dead time before."""
+        """Return the mean voltages at the drives in the last period, sent a dead time earlier."""
         times, volts = self.arrived_history()
         return np.einsum("k,bkd->bd", np.diff(times) / self.period, volts[:, :-1])
 
     def arrived_history(self) -> tuple[Array, Array]:
-        """Return the piecewise constant voltages that reached the drives in the last period, after dead time.
+        """Return the voltages over time that reached the drives in the last period, after the dead time.
 
         Returns:
             times: k times since the start of the period, s, shape (k,): [0, `remainder_s`, `period`] if the
@@ -112,7 +112,7 @@ class DeadTime:
         return np.asarray(PchipInterpolator(periods, goals, axis=1)(np.minimum(later, periods[-1])))
 
     def pending_history(self) -> tuple[Array, Array]:
-        """Return the piecewise constant voltages that reach the drives from now to the end of the dead time.
+        """Return the voltages over time that will reach the drives from now to the end of the dead time.
 
         Returns:
             times: k times from now, s, shape (k,), from 0 to `delay_s`.
@@ -163,14 +163,11 @@ class InputInversion:
                 self._tables[j] = (command, motor + MINIMUM_SLOPE * command)
 
     def motor_voltage(self, command: Volts) -> Volts:
-        """Compute the motor voltages that commands, at most rated ones, give after the drives' errors."""
+        """Compute the motor voltages that result from commands, which are limited to the rated voltages."""
         return self._mapped(command, inverse=False)
 
     def command(self, motor_voltage: Volts) -> Volts:
-        """Compute the commands, limited to the rated voltages, with which given voltages reach the motors.
-
-        This is the inverse of the method `motor_voltage`.
-        """
+        """Compute the commands, limited to the rated voltages, that give the required motor voltages."""
         return np.clip(self._mapped(motor_voltage, inverse=True), -self.rated, self.rated)
 
     def _mapped(self, volts: Array, *, inverse: bool) -> Array:

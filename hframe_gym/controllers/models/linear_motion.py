@@ -1,4 +1,4 @@
-"""Linear models of batches of different machines, for example as estimated, and their reachability.
+"""Linear models of batches of different machines, for example with estimated parameters, and reachability.
 
 `LinearMotion`   Linear models of B machines with different parameters, and the friction that opposes their
                  motion.
@@ -106,7 +106,7 @@ def _exponential(matrices: Array) -> Array:
 
 
 def state_scale(states: int) -> Array:
-    """Return the units of 2 n states that condition the reachability Gramian well, m and m/s, shape (2 n,).
+    """Return units of the 2 n states, m and m/s, shape (2 n,), that condition the reachability Gramian well.
 
     They are 1 m for belt travel and 100 m/s for velocity: in a scaled state (state / units) an error of 1 mm
     is as large as one of 0.1 m/s.
@@ -130,10 +130,10 @@ def scaled_matrices(A: Array, *inputs: Array) -> tuple[Array, ...]:
 
 
 def reachability(A: Array, B: Array, longest: int) -> Iterator[tuple[Array, Array, Array]]:
-    """Yield responses of linear systems over N = 1, 2, ... periods to voltages and to the initial state.
+    """Yield the responses of linear systems over N = 1, 2, ... periods to voltages and to the initial state.
 
-    They give the voltages with the least sum of squares that bring a state error z to zero in N periods:
-    u_j = -B' A'^(N-1-j) W_N^-1 A^N z in period j = 0, ..., N - 1.
+    With them, the voltages u_j = -B' A'^(N-1-j) W_N^-1 A^N z in the periods j = 0, ..., N - 1 bring a state
+    error z to zero in N periods; no others have a smaller sum of squares.
 
     Args:
         A: System matrices of any number of machines or operating points, shape (points, 2 n, 2 n).

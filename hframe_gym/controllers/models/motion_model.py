@@ -41,7 +41,7 @@ FRICTION_COMPENSATION_SPEED = 0.02
 
 
 def axis_travel_per_unit(machine: Machine) -> Array:
-    """Return belt travel per position of tool axes: 1, or a rotary one's radius, m/rad, shape (axes,)."""
+    """Return belt travel per position of each tool axis: 1, or a radius, m/rad, if rotary; shape (axes,)."""
     return np.array([machine.coordinate(axis).travel_per_unit for axis in machine.tool_axes])
 
 
@@ -155,7 +155,7 @@ class MotionModel:
         self._scale = np.tile(units, 2)
 
     def state(self, observation: KeyedObservation) -> TravelStates:
-        """Convert a full-state observation to a state; an InputError refuses another number of entries."""
+        """Convert a full-state observation to a state; InputError if it has the wrong number of entries."""
         values = np.asarray(observation["observation"], np.float64)
         if values.ndim != 2 or values.shape[1] != len(self._order):
             raise InputError(f"observation has shape {values.shape}, it must be (B, {len(self._order)})")
@@ -166,7 +166,7 @@ class MotionModel:
         return (state / self._scale)[:, np.argsort(self._order)]
 
     def axis_travel(self, position: NDArray[Any]) -> ToolPositions:
-        """Convert an environment's tool `position`, m or rad, shape (..., axes), to travel along the axes."""
+        """Convert the tool `position` of an environment, m or rad, shape (..., axes), to belt travel."""
         return np.asarray(position, np.float64) * self.axis_radii
 
     def goal_state(self, goal: NDArray[Any]) -> TravelStates:
@@ -185,11 +185,11 @@ class MotionModel:
         return np.concatenate([state[:, None, len(self.mass) :], ahead], axis=1)
 
     def tool_position(self, travel: Array) -> ToolPositions:
-        """Select tool positions from `travel` of all coordinates, m, or from states, shape (B, n or 2 n)."""
+        """Select the tool position, m, from `travel`, m, or from states, shape (B, n or 2 n)."""
         return travel[:, self.tool]
 
     def elastic_travel(self, travel: Array) -> Array:
-        """Compute how far coordinates are from where unstretched belts would put them, m, shape (B, n).
+        """Compute how far belt stretch moves the coordinates from the rigid motion, m, shape (B, n).
 
         Args:
             travel: Travels of all coordinates, m, shape (B, n), or states, shape (B, 2 n).
@@ -198,9 +198,10 @@ class MotionModel:
 
     @property
     def rigid_part(self) -> Array:
-        """Matrix from states to positions and velocities of the motion with rigid belts, shape (2 axes, 2 n).
+        """Matrix from states to positions and velocities of the rigid motion, shape (2 axes, 2 n).
 
-        That motion has the same momentum along each axis. Vibrations of the belts have none.
+        The rigid motion is the one with unstretched belts that has the same momentum along each axis;
+        vibrations of the belts have none.
         """
         momentum = self.rigid.T * self.mass
         return np.asarray(np.kron(np.eye(2), np.linalg.solve(momentum @ self.rigid, momentum)), np.float64)
@@ -253,7 +254,10 @@ class MotionModel:
         return self._effect_viscous_force(state) - level * self._direction(state)
 
     def effect_friction(self, state: TravelStates, elapsed_s: ElapsedTimes) -> CoordinateForces:
-        """Compute the friction that effects add to the Coulomb one, negative if it brakes positive motion."""
+        """Compute the force by which effects change the Coulomb friction.
+
+        It is negative if it brakes positive motion.
+        """
         return self.friction_force(state, elapsed_s) + self.coulomb * self._direction(state)
 
     def _balance(self, state: Array, elapsed_s: Array) -> ForceBalance:
@@ -274,10 +278,10 @@ class MotionModel:
         return np.tanh(state[:, len(self.mass) :] / FRICTION_COMPENSATION_SPEED)
 
     def static_stretch(self, force: CoordinateForces, goal: ToolPositions) -> Array:
-        """Compute how far the motors must turn so that stretched belts balance the force on the resting tool.
+        """Compute the motor travel that lets stretched belts hold a force on the tool at rest.
 
-        The result is belt travel, m, shape (B, n); it is 0 for the tool axes. Forces on other coordinates are
-        not used.
+        The result is belt travel, m, shape (B, n), 0 for the tool axes. Forces on other coordinates are not
+        used.
         """
         if not force.any():
             return np.zeros_like(force)
@@ -313,7 +317,7 @@ class MotionModel:
         return (viscous_impulse + momentum_change) @ self.rigid / period - volts @ self.force_per_volt.T
 
     def top_speed(self) -> Array:
-        """Compute the steady speed along each axis, m/s, shape (axes,), if it moves alone at rated voltage.
+        """Compute the steady speed along each axis at rated voltage, m/s, shape (axes,); the others rest.
 
         It is zero where Coulomb friction exceeds the drive force.
         """

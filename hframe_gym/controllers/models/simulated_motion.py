@@ -58,7 +58,7 @@ class SimulatedMotion:
         parameters: ParameterRows | None = None,
         **options: Any,
     ) -> tuple[Array, Array]:
-        """Simulate from the states and memories at the first time.
+        """Simulate machines from given states and memories.
 
         Args:
             memory: Memories, shape (B, M).
@@ -97,9 +97,9 @@ class SimulatedMotion:
         its rate.
 
         Args:
-            memory: Memories with which the simulation ends, shape (B, M).
-            simulated: States with which it ends.
-            measured: States that are measured then.
+            memory: Memories at the end of the simulation, shape (B, M).
+            simulated: States at the end of the simulation.
+            measured: Measured states at that time.
 
         Returns:
             Memories, shape (B, M).

@@ -15,7 +15,7 @@ from ...machine import AppliedEffect, Machine, rigid_counterpart, slow_loads
 
 
 class SwingingLoads:
-    """The L slow loads of B machines, with their deflections from rest.
+    """The slowly swinging loads, L per machine, of B machines, with their deflections from rest.
 
     Args:
         machine: Machine with the effects that add the loads.
@@ -46,7 +46,7 @@ class SwingingLoads:
         return bool(self._loads)
 
     def follow(self, before: TravelStates, after: TravelStates, starts: Mask) -> None:
-        """Move the loads along with the carriages over the control period that has ended.
+        """Update the loads' motion from the carriages' motion in the control period that has ended.
 
         Args:
             before: States at the beginning of the period.
@@ -70,7 +70,7 @@ class SwingingLoads:
         return self._moved(velocities)[0]
 
     def coming_force(self, state: TravelStates) -> CoordinateForces:
-        """Return the mean forces on each coordinate in the coming period, N, if its velocity is constant."""
+        """Return the loads' mean forces on each coordinate in the next period, N, at constant velocity."""
         return self.forces(np.repeat(state[:, None, self._count :], 2, axis=1))[:, 0]
 
     def _moved(self, velocities: Array) -> tuple[Array, Array]:

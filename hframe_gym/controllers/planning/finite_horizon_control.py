@@ -65,13 +65,13 @@ HORIZON_S = 0.1  # s; goals farther ahead do not change the first voltage
 
 
 def longest_transfer_s(model: MotionModel, grid: OperatingPointGrid) -> float:
-    """Estimate the time of the workspace's longest point-to-point motion, s, a limit of planned durations.
+    """Estimate the time of the longest point-to-point motion in the workspace, s, to limit planned durations.
 
-    It is 1.3 (`LONGEST_MARGIN`) times the longer of two times, or 10 s (`MAX_TRANSFER_S`) if the drives
-    cannot overcome Coulomb friction along an axis. One is the time along both sides of the workspace at top
-    speed. The other one limits axes that a drive of current or torque, without back-EMF, would take to any
-    speed: the force of the minimum-energy motion from rest to rest of a mass over the distance d falls
-    linearly from its largest value F to -F, which takes sqrt(6 d m / F).
+    It is 1.3 (`LONGEST_MARGIN`) times the longer of two times. One is the time along both sides of the
+    workspace at top speed. The other one limits axes whose drive has no back-EMF: the force of the
+    minimum-energy motion of a mass m over the distance d falls linearly from its largest value F to -F, which
+    takes sqrt(6 d m / F). If the drives cannot overcome Coulomb friction along an axis, the result is 10 s
+    (`MAX_TRANSFER_S`).
     """
     top_speed = model.top_speed()
     if top_speed.min() <= 0.0:
@@ -82,7 +82,7 @@ def longest_transfer_s(model: MotionModel, grid: OperatingPointGrid) -> float:
 
 
 class TransferSelection(NamedTuple):
-    """Transfers to rest (motions that end at rest at the goal) selected for B simulated machines.
+    """Transfers (motions that end at rest at the goal) that were selected for B simulated machines.
 
     Attributes:
         periods: Number of control periods until the machine is at rest at its goal, shape (B,).
@@ -94,7 +94,7 @@ class TransferSelection(NamedTuple):
 
 
 class TransferDesign:
-    """Design of minimum-energy transfers, of `shortest` to `longest` periods, and their first gains.
+    """Design of minimum-energy transfers that take `shortest` to `longest` periods.
 
     A transfer is a motion that brings the machine to rest at its goal. An operating point is a tool position
     at which the machine is linearized.
@@ -118,7 +118,7 @@ class TransferDesign:
         self.longest = max(self.shortest + 1, int(np.ceil(longest_s / period)))
 
     def first_gains(self, beyond: Sequence[int], points: Sequence[int] | None = None) -> Array:
-        """Compute the gains of the first period of some transfers.
+        """Compute the feedback gains for the first period of transfers of some durations.
 
         Args:
             beyond: Durations, in periods beyond the shortest transfer.
@@ -157,7 +157,7 @@ class TransferDesign:
 
 
 class MinimumEnergyTransfers(TransferDesign):
-    """Feedback gains of minimum-energy transfers, for every operating point and every number of periods.
+    """Feedback gains of minimum-energy transfers for every operating point and every duration in periods.
 
     Attributes:
         gains: Gains from the state error at the start of a transfer to its voltages, V/m and Vs/m, shape
@@ -189,7 +189,7 @@ class MinimumEnergyTransfers(TransferDesign):
         """Select each machine's shortest motion to rest at its goal whose voltages stay within the limits.
 
         The limits are checked in the first period and in the last 7 periods of a motion. Where no motion
-        stays within them, the longest one is selected, which exceeds them. The shape is (B,) or (B, drives).
+        stays within them, the longest one is selected, which exceeds them.
 
         Args:
             error: State minus goal state.
@@ -215,10 +215,10 @@ class MinimumEnergyTransfers(TransferDesign):
 
 
 class PreviewGains:
-    """Gains of preview control: they give the least-squares plan's first voltage at each operating point.
+    """Gains of preview control, which give the first voltage of the least-squares plan.
 
-    An operating point is a tool position at which the machine is linearized. The state is that of
-    `TravelStates`.
+    There are gains for each operating point, a tool position at which the machine is linearized. The state is
+    that of `TravelStates`.
 
     Args:
         period: Control period, s.

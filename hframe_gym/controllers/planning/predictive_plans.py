@@ -43,7 +43,7 @@ REFINEMENTS, SAMPLES = 2, 4  # iterations per period, and samples of the tool pe
 
 
 class ArrivalPlan(NamedTuple):
-    """Plans of B machines.
+    """Planned motions of B machines.
 
     Attributes:
         volts: Motor voltages of the control periods from now on, V, shape (B, periods, drives), where periods

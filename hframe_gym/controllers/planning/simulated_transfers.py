@@ -53,7 +53,7 @@ class PlannedTransfers(NamedTuple):
 
 
 class SimulatedTransfers:
-    """Planner of motions to rest at the goal in given numbers of periods, for B machines, which may differ.
+    """Planner of motions to rest at the goal, in given numbers of periods, for B different machines.
 
     Args:
         model: Model of the machine with its declared parameters, n coordinates; the simulations contain its
@@ -88,11 +88,10 @@ class SimulatedTransfers:
         last_volts: Volts,
         memory: Array | None = None,
     ) -> PlannedTransfers:
-        """Plan motions from present states to rest at the goals, one for each of the planner's K durations.
+        """Plan motions from the present states to rest at the goals, one for each of the K durations.
 
         Plans of up to SIMULATED_PERIODS = 6 periods are corrected by simulations of the machines with their
-        effects. The last voltages still act during the dead time of the drives. `PlannedTransfers` states the
-        shapes.
+        effects. The last voltages still act during the dead time of the drives.
 
         Args:
             memory: Memories of the machines (`SimulatedMotion`), shape (B, M). Default: those at rest.

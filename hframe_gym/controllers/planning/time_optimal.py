@@ -194,7 +194,7 @@ class TimeOptimalReach:
         parameters: ArrayLike | None = None,
         guesses: Sequence[float] = INITIAL_GUESSES,
     ) -> TimeOptimalMotion:
-        """Compute the fastest motion from rest with unstretched belts into the band (`band`) around the goal.
+        """Compute the fastest motion from rest with unstretched belts to the band around the goal.
 
         Args:
             start: Tool position at the start, m, shape (axes,).

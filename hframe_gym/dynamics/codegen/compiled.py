@@ -18,7 +18,7 @@ _PATIENCE_S = 1.0  # of compilation, after which the user is told why nothing ha
 
 
 def compiled_only(function: Function) -> Function:
-    """Compile a function that only compiled functions call: it needs no wrappers, and compiles faster."""
+    """Compile a function for calls from compiled functions only; it needs no wrapper and compiles faster."""
     options = {"nogil": True, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     return cast("Function", _njit(**options)(function))
 

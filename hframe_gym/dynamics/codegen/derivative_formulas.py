@@ -17,15 +17,16 @@ _SMALL = 0.5  # largest |z| of the series below: the remainder of the Taylor ser
 
 
 def decay_integral_slope(z: Any) -> Any:
-    """Return the derivative of D(z) = (1 - exp(-z)) / z, which is ramp(z) - D(z), and -1/2 at z = 0.
+    """Return the derivative of the function D(z) = (1 - exp(-z)) / z, see `friction.decay_integral`.
 
-    The argument is z = b h / m >= 0, dimensionless, of a step of length h with viscous friction b.
+    It is (ramp(z) - D(z)) with `ramp` of `friction`, and -1/2 at z = 0. The argument is z = b h / m >= 0,
+    dimensionless, of a step of length h with viscous friction b.
     """
     return ramp(z) - decay_integral(z)
 
 
 def end_weight_slope(z: Any) -> Any:
-    """Return the derivative of w(z) = 1 / (1 - exp(-z)) - 1 / z, w - w**2 + (1 - 2 w) / z; 1/12 at z = 0."""
+    """Return the derivative of w(z) = 1 / (1 - exp(-z)) - 1 / z (`friction.end_weight`), 1/12 at z = 0."""
     q = z * z
     # Derivative of the Bernoulli series of w, because the closed form cancels for small z.
     p = fma(q, 1.0 / 5322240.0, -1.0 / 172800.0)
@@ -40,7 +41,10 @@ def end_weight_slope(z: Any) -> Any:
 
 
 def ramp_slope(z: Any) -> Any:
-    """Return the derivative of ramp(z) = (z - 1 + exp(-z)) / z**2, -1/6 at z = 0; z < 0 is reversed time."""
+    """Return the derivative of ramp(z) = (z - 1 + exp(-z)) / z**2 (`friction.ramp`), -1/6 at z = 0.
+
+    Negative z means motion reversed in time.
+    """
     # Taylor series: the sum of (-1)**k (k - 2) z**(k - 3) / k! from k = 3 on.
     p = fma(z, 11.0 / 6227020800.0, -10.0 / 479001600.0)
     p = fma(z, p, 9.0 / 39916800.0)

@@ -95,8 +95,8 @@ def periods_forward(
     """Simulate blocks first..last-1 over equal periods in which the voltages are held.
 
     Args:
-        inputs: Voltages, V, shape (B, earlier + simulated periods, drives); `states` gives the number of the
-            latter. Before all of them, the first voltages act.
+        inputs: Voltages, V, shape (B, earlier + simulated periods, drives); the shape of `states` gives the
+            number of simulated periods. Before the first period, its voltages act.
         parameters: Machine parameters, SI, shape (B, parameters).
         h: Length of a step, s.
         states: Belt travel, m, its rate, m/s, time, s, and effect states at the ends of the periods,
@@ -140,22 +140,23 @@ def periods_back(
     inputs_out,
     parameters_out,
 ) -> None:
-    """Compute derivatives by start, voltages and parameters from those by the states of each period's end.
+    """Compute gradients by start, voltages and parameters from derivatives by the states (reverse mode).
 
     Args:
         functions: Addresses of prepare, voltage_delays, advance, step_back (with or without parameters),
             prepare_back and voltage_delays_back.
-        flags: Whether a drive has a delay, and whether to compute derivatives by the parameters.
-        inputs: Voltages, V, shape (B, earlier + simulated periods, drives); `states` gives the number of the
-            latter. Before all of them, the first voltages act.
+        flags: Whether a drive has a delay, and whether to compute derivatives with respect to the parameters.
+        inputs: Voltages, V, shape (B, earlier + simulated periods, drives); the shape of `states` gives the
+            number of simulated periods. Before the first period, its voltages act.
         parameters: Machine parameters, SI, shape (B, parameters).
         h: Length of a step, s.
         states: Belt travel, m, its rate, m/s, time, s, and effect states, shape (B, periods + 1, rows).
-        adjoint: Derivatives by these states, 1/m, s/m, ..., shape (B, periods + 1, rows); those by time are
-            ignored.
-        start_out: Output, derivatives by the first states, shape (B, rows).
-        inputs_out: Output, derivatives by the voltages, 1/V, in the shape of `inputs`; zero on entry.
-        parameters_out: Output, derivatives by the parameters, shape (B, parameters).
+        adjoint: Derivatives with respect to these states, 1/m, s/m, ..., shape (B, periods + 1, rows); the
+            row of time is ignored.
+        start_out: Output, derivatives with respect to the first states, shape (B, rows).
+        inputs_out: Output, derivatives with respect to the voltages, 1/V, in the shape of `inputs`; zero on
+            entry.
+        parameters_out: Output, derivatives with respect to the parameters, shape (B, parameters).
     """
     prepare, voltage_delays, advance, step_back, prepare_back, voltage_delays_back = functions
     coordinates, constants, drives = sizes
@@ -230,14 +231,16 @@ def periods_back(
 def readings_back(
     read_sensors_back: int, states, parameters, adjoint, first: int, last: int, states_out, parameters_out
 ) -> None:
-    """Compute derivatives by states and parameters from those by sensor readings, without delay, for blocks.
+    """Compute derivatives with respect to states and parameters from those with respect to sensor readings.
+
+    The sensors' delays are ignored.
 
     Args:
         states: Belt travel, m, and further rows, shape (B, N, rows).
         parameters: Machine parameters, SI, shape (B, parameters).
-        adjoint: Derivatives by the readings, 1/m or 1/rad, shape (B, N, sensors).
-        states_out: Output, derivatives by the states, shape (B, N, rows).
-        parameters_out: Output, derivatives by the parameters, shape (B, parameters).
+        adjoint: Derivatives with respect to the readings, 1/m or 1/rad, shape (B, N, sensors).
+        states_out: Output, derivatives with respect to the states, shape (B, N, rows).
+        parameters_out: Output, derivatives with respect to the parameters, shape (B, parameters).
     """
     block_parameters = np.zeros((parameters.shape[1], LANES))
     adjoint_parameters = np.zeros((parameters.shape[1], LANES))

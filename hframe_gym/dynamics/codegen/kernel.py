@@ -34,8 +34,8 @@ from hframe_gym.dynamics.codegen.lane_formulas import cos, exp, log, sign, sin, 
 class Kernel:
     """Simulation functions for all machines of one `Machine.shape`.
 
-    The module `time_loops` describes the functions; here, they have their first arguments already, which say
-    where the generated code is. A block is a group of `LANES` machines that are simulated side by side.
+    The module `time_loops` describes the functions; here, the first arguments, which locate the generated
+    code, are already given. A block is a group of `LANES` machines that are simulated side by side.
 
     Attributes:
         layout: Row of each parameter, and of each step constant that is derived from them, in the functions'
@@ -66,7 +66,7 @@ class Kernel:
 
 
 def generate_kernel(machine: Machine, *, forced: bool = False) -> tuple[str, KernelSource]:
-    """Return the source text of a kernel, with external forces if `forced`, and its origin."""
+    """Return the source text of a machine's kernel, with external forces if `forced`, and its generator."""
     source = KernelSource(machine, forced=forced)
     components = {
         "coordinates": machine.coordinates,

@@ -116,7 +116,10 @@ class KernelSource:
     def step_constants(
         self, trace: Trace, equations: Equations, h: Expression
     ) -> Iterator[tuple[str, Expression]]:
-        """Trace the constants of a step of the length h, s, with the names of their rows."""
+        """Trace the constants of an integration step of length `h`, s.
+
+        Yield each with the name of its row.
+        """
         for i in self._coordinates:
             mass = trace.let("mass", i, equations.mass(i))
             of_coordinate = (mass, 1.0 / mass, equations.coulomb(i), h * h / 12.0 / mass)
@@ -145,7 +148,7 @@ class KernelSource:
     # -- sensors and delays ----------------------------------------------------------------------------------
 
     def trace_delays(self, trace: Trace, function: str) -> Trace:
-        """Trace voltage_delays (each drive's delay, s) or measurement_delays (each sensor's, s)."""
+        """Trace the function `voltage_delays` or `measurement_delays`: each drive's or sensor's delay, s."""
         for row, delay in enumerate(getattr(self._equations(trace), function)()):
             trace.store("delays", row, delay)
         return trace

@@ -23,9 +23,9 @@ _LOADED: dict[str, Any] = {}  # engines by the hash of their code, which exists 
 
 
 def processor() -> tuple[str, str]:
-    """Return name and comma-separated features of the processor that code is compiled for, as in LLVM.
+    """Return the processor's name and features (comma-separated, as in LLVM) for which code is compiled.
 
-    They are those of Numba, where NUMBA_CPU_NAME and NUMBA_CPU_FEATURES replace what LLVM finds.
+    Numba determines them, where NUMBA_CPU_NAME and NUMBA_CPU_FEATURES replace what LLVM finds.
     """
     name, features = numba.config.CPU_NAME, numba.config.CPU_FEATURES  # type: ignore[attr-defined]
     return name or llvm.get_host_cpu_name(), (
@@ -40,7 +40,13 @@ LANES = 16 if "+avx512f" in processor()[1].split(",") else 8
 
 
 def native_functions(key: str, names: Sequence[str], build: Callable[[], ir.Module]) -> Mapping[str, int]:
-    """Return the addresses of functions by name, compiled if no process has, for `key` and processor."""
+    """Load machine code from the cache, or compile it, and return the addresses of its functions by name.
+
+    Args:
+        key: Text that identifies the source code; the cache distinguishes code by it and by the processor.
+        names: Names of the functions.
+        build: Called to generate the code's intermediate representation, if the cache lacks it.
+    """
     text = "\n".join((key, llvmlite.__version__, llvm.get_default_triple(), *processor()))
     name = f"kernel_{hashlib.sha256(text.encode()).hexdigest()[:24]}"
     with _LOCK:

@@ -27,9 +27,10 @@ def _emit_call(context: Any, builder: Any, signature: Any, values: Any) -> Any:
 
 @intrinsic
 def call_at(typing_context: Any, address: Any, *arguments: Any) -> Any:
-    """Call the function of a `LaneProgram` at an address; only compiled functions can do so.
+    """Call machine code of a `LaneProgram` by its address, from functions that Numba compiles.
 
-    Arguments are contiguous arrays of rows, shape (n, LANES), of which the function gets the address, and
-    numbers, of which it gets float64 or int64. Neither their number nor the arrays' sizes are checked.
+    Arguments are contiguous arrays of rows, shape (n, LANES), and numbers. The machine code receives the
+    address of each array, and numbers as float64 or int64. Neither the number of arguments nor the arrays'
+    sizes are checked.
     """
     return types.void(types.int64, types.StarArgTuple(arguments)), _emit_call

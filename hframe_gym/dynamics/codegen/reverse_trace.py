@@ -82,7 +82,7 @@ class _Guard:
 
 
 class ReverseTrace(Trace):
-    """Record of a function whose derivatives are wanted; `store` keeps a result instead of writing it.
+    """Record of a function to differentiate; `store` keeps a result instead of writing it.
 
     Args:
         signature: Name and arguments of the generated function of the derivatives.
@@ -130,29 +130,29 @@ class ReverseTrace(Trace):
         self.stored[array, int(row)] = self.expression(value)
 
     def operations(self, formula: str, *operands: Any) -> tuple[Expression, ...]:
-        """Return results of the formula of friction that has several, "stop_or_reverse", as operations."""
+        """Expand the friction formula "stop_or_reverse", which has several results, to single operations."""
         return tuple(_EXPANDED[formula](*operands))
 
     def read(self, array: str, row: int) -> Expression:
-        """Return the expression that loads a row of an array of derivatives, itself not differentiated."""
+        """Return the expression that loads a row of an array of derivatives; it is not differentiated."""
         return super().load(array, row, "")
 
     def write(self, array: str, row: int, value: Expression) -> None:
-        """Append a statement that writes a value to a row of an argument, an array of derivatives."""
+        """Append a statement that writes a value to a row of an output array of derivatives."""
         super().store(array, row, value)
 
     def add_to(self, array: str, row: int, value: Expression) -> None:
-        """Append a statement that adds a value to a row of one of the arguments, an array of derivatives."""
+        """Append a statement that adds a value to a row of an output array of derivatives."""
         super().store(array, row, self.read(array, row) + value)
 
     @override
     def variable(self, role: str, index: int | None, value: Expression) -> Expression:
-        """Return the value itself, with a name: no value changes here."""
+        """Return the value itself, with a name, because a reverse trace has no variables."""
         return self.let(role, index, value)
 
     @override
     def assign(self, variable: Expression, value: Expression) -> Expression:
-        """Return the new value itself: no value changes here."""
+        """Return the new value itself, because a reverse trace has no variables."""
         return value
 
     @override
@@ -174,7 +174,7 @@ class ReverseTrace(Trace):
         return results
 
     def drop_unused_branches(self) -> None:
-        """Remove the branches whose results no other statement needs, which are most of them."""
+        """Remove the branches whose results no other statement uses; these are most branches."""
         dropped = {id(guard): guard for guard in self._guards}
         while True:
             unused = {id(s) for guard in dropped.values() for s in guard.statements}

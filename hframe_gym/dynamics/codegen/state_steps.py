@@ -21,12 +21,12 @@ _Follow = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int6
 
 
 def follow_state(next_state: Callable[..., Any], steps: Mapping[str, Array]) -> Array:
-    """Return the state of an effect before each of n steps, from zero.
+    """Compute the internal state of an effect along a known motion: before each of n steps, from zero.
 
     Args:
         next_state: Formula of the effect for its state after a step (`Effect.next_state`).
-        steps: Arguments of the formula but the state, SI, by name: arrays of shape (n,), or (variants, n)
-            with one row for each of several variants of the effect.
+        steps: Arguments of the formula other than the state, SI, by name: arrays of shape (n,), or (variants,
+            n) with one row for each of several variants of the effect.
 
     Returns:
         States, SI, shape (n,), or (variants, n) if an argument has variants.

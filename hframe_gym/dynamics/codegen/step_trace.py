@@ -48,7 +48,7 @@ class Layout:
 
 
 class KernelShape(Protocol):
-    """What the trace of a step needs to know of the kernel, explained at `kernel_source.KernelSource`."""
+    """The part of a `kernel_source.KernelSource` that the trace of a step needs; explained there."""
 
     machine: Machine
     forced: bool
@@ -65,7 +65,10 @@ class KernelShape(Protocol):
     def step_constants(
         self, trace: Trace, equations: Equations, h: Expression
     ) -> Iterator[tuple[str, Expression]]:
-        """Trace the constants of a step of the length h, s, with the names of their rows."""
+        """Trace the constants of an integration step of length `h`, s.
+
+        Yield each with the name of its row.
+        """
 
 
 def row_name(component: str, index: int, key: str) -> str:

@@ -43,7 +43,7 @@ def held_mean(time, values, start: float, end: float, hint: int) -> float:
 
 @compiled_only
 def parabola(time, i: int, delay: float) -> tuple:
-    """Return weights that interpolate a delayed value of a signal by a parabola through three of its samples.
+    """Return the weights of three samples that interpolate a signal at an earlier time by a parabola.
 
     Args:
         time: Sample times, s, ascending, shape (N,).
@@ -73,7 +73,10 @@ def parabola(time, i: int, delay: float) -> tuple:
 
 @compiled_only
 def most_steps(time, longest_step: float) -> int:
-    """Return the largest number of steps, of at most `longest_step`, s, between `time`, s, shape (N,)."""
+    """Return the largest number of integration steps, of at most `longest_step`, s, that an interval needs.
+
+    The intervals are those between the samples `time`, s, shape (N,).
+    """
     steps = 1
     for i in range(time.shape[0] - 1):
         steps = max(steps, int(np.ceil((time[i + 1] - time[i]) / longest_step - 1e-6)))
@@ -110,7 +113,7 @@ def start_block(
 
 @compiled_only
 def copy_lanes(block: int, row: int, values, table) -> None:
-    """Copy values of a block to one row of a table over the rows of a recording.
+    """Copy values of a block of machines to one row of their recordings.
 
     Args:
         values: Values of the block (states or readings, any unit), shape (k or more, LANES); the first k are
@@ -171,7 +174,7 @@ def inject_outputs(block: int, row: int, measured, gains, reading, innovation, s
         gains: Change of belt travel (m) and of its rate (m/s) per m or rad of error,
             shape (2 * coordinates, sensors).
         reading: Simulated readings, in the sensors' units, shape (sensors, LANES).
-        innovation: Room for the differences, in the sensors' units, shape (sensors, LANES).
+        innovation: Work array for the differences, in the sensors' units, shape (sensors, LANES).
         state: State, corrected in place, shape (rows, LANES).
     """
     for j in range(reading.shape[0]):
@@ -412,7 +415,9 @@ def read_blocks(read_sensors: int, state, parameters, first: int, last: int, rea
 
 @compiled
 def delay_blocks(delays: int, parameters, first: int, last: int, out) -> None:
-    """Compute the delays of drives or sensors, by the function at `delays`, for blocks first..last-1.
+    """Compute the delays of the drives or sensors of blocks first..last-1.
+
+    The generated function at the address `delays` evaluates them.
 
     Args:
         parameters: Parameters of the machines, SI, shape (blocks, parameters, LANES).

@@ -75,7 +75,7 @@ class BeltEquations(ParameterizedMachine):
         return [self._belt_state(b, s, rates[b], per_length.get(b)) for b, s in enumerate(extensions)]
 
     def constant_stiffness(self, b: int) -> Value:
-        """Return the stiffness EA / rest length, N/m, of belt b, whose length does not depend on position."""
+        """Return the stiffness EA / rest length, N/m, of a belt whose length does not depend on position."""
         name = self.machine.belts[b].name
         return self.parameter(f"{name}.EA") / self.parameter(f"{name}.rest_length")
 
@@ -177,7 +177,7 @@ def add_combination(total: Value, row: IndexRow, values: Sequence[Value]) -> Val
 
 
 def reciprocals(values: Sequence[Value]) -> list[Value]:
-    """Return the reciprocal of each value; a simulation kernel divides once for up to three values.
+    """Return the reciprocals of values; a simulation kernel uses one division for up to three of them.
 
     A division costs as much as ten multiplications. With p = 1 / (a b c), the reciprocals are 1/a = p c b,
     1/b = p c a and 1/c = p a b. They may differ from the results of separate divisions in the last digits.

@@ -14,10 +14,10 @@ from ...machine import AppliedEffect, Machine
 
 @dataclass(frozen=True)
 class EffectInstance:
-    """An effect at one component; an effect on several components (all belts) has one instance for each.
+    """An effect at one component; an effect on all belts, for example, has one instance for each belt.
 
     Attributes:
-        effect: The effect as the machine has it; its label gives the names of its parameters.
+        effect: The effect of the machine.
         component: Name of the coordinate, drive, belt or sensor channel, or "machine" for a structural
             effect.
         coordinate: Index of the coordinate on which the effect acts; for an effect on a drive, index of the
@@ -34,10 +34,9 @@ class EffectInstance:
 
 
 def effect_instances(machine: Machine) -> list[EffectInstance]:
-    """List every effect of a machine once for each component on which it acts, such as once per belt.
+    """List the effects of a machine, each once for every component on which it acts, such as each belt.
 
-    The laws of drives come first, then the machine's effects in their order, each in that of the machine's
-    components.
+    Laws of drives come first, then the machine's effects in their order.
     """
     # An unknown name, such as that of a belt or sensor, gives the index -1: no coordinate.
     index = {name: i for i, name in enumerate(machine.coordinate_names)}
@@ -52,7 +51,7 @@ def effect_instances(machine: Machine) -> list[EffectInstance]:
 
 
 def instances_with_state(machine: Machine) -> list[EffectInstance]:
-    """List the effect instances that have a state, such as a deflection, in an initial state's order."""
+    """List the effect instances that have an internal state, in the order of initial states."""
     return [instance for instance in effect_instances(machine) if instance.effect.definition.next_state]
 
 

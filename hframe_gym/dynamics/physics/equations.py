@@ -95,8 +95,8 @@ class Equations(SignalEquations):
         """Return drive j's current (V - Ke N w) / R, A, without inductance (eq. 17 of Sollmann et al. 2010).
 
         V is the motor voltage, Ke the back-EMF constant, N the gear ratio (which eq. 17 omits), w the speed
-        of the drive's coordinate (rad/s or m/s), and R the resistance. For a drive with a law it is the
-        torque of its damping alone, which the viscous coefficient contains; the law replaces it.
+        of the drive's coordinate (rad/s or m/s), and R the resistance. For a drive with a law, the result is
+        only the torque of the law's damping, which the viscous coefficient contains.
         """
         speed = self.speed(point, self.drive_coordinates[j])
         drive = self.drives[j]
@@ -174,7 +174,7 @@ class Equations(SignalEquations):
         return {"power": power, "stall_power": stall_power}
 
     def current(self, j: int, point: MotionPoint, motor_voltages: Sequence[Value]) -> Value:
-        """Return a drive's current with its law and the effects on it, such as a limit or inductance.
+        """Return a drive's current, including its law and effects such as a limit or inductance.
 
         Args:
             point: Belt travel (position, or radius * angle of a pulley), m, and its rate, m/s, of every
@@ -182,8 +182,8 @@ class Equations(SignalEquations):
             motor_voltages: Voltage at each motor, V: floats, arrays of one shape or symbolic expressions.
 
         Returns:
-            Current, A (for a drive of torques or with a law, torque of the motor shaft, Nm): float, array of
-            that shape or symbolic expression.
+            Current, A, in the type of the arguments; for a drive with torque commands or a law, torque of the
+            motor shaft, Nm.
         """
         ohmic = self.ohmic_current(j, point, motor_voltages[j])
         return self._changed_current(j, point, motor_voltages, ohmic, {})

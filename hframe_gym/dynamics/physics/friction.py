@@ -86,25 +86,25 @@ def ramp(z: Any) -> Any:
 
 
 def direction(v: Any, f: Any) -> Any:
-    """Return a number whose sign is the direction of motion: the speed v or, if zero, the force f."""
+    """Return a number with the sign of the motion: the speed v or, at rest, the force f."""
     return where(v == 0.0, f, v)
 
 
 def static_friction(f: Any, coulomb: Any) -> Any:
-    """Return the dry friction force at rest, N, to be subtracted from the force f: f limited to [-F, F]."""
+    """Return the dry friction force at rest, N, which balances the force f within [-F, F]."""
     below = where(f < coulomb, f, coulomb)  # min(f, F)
     return where(below > -coulomb, below, -coulomb)
 
 
 def friction_force(v: Any, f: Any, coulomb: Any) -> Any:
-    """Return the dry friction, N, to be subtracted from f: F sign(v) in motion, static friction at rest."""
+    """Return the dry friction force, N, which opposes motion: F sign(v), or at rest f limited to [-F, F]."""
     return where(v == 0.0, static_friction(f, coulomb), copysign(coulomb, v))
 
 
 def update_speed(v: Any, f: Any, coulomb: Any, decay: Any, gain: Any) -> Any:
-    """Return the speed after one step of length h, m/s, if it does not cross zero within the step.
+    """Return the speed after one step of length h, m/s, provided that it does not cross zero in the step.
 
-    Where the result and v have opposite signs, it does cross zero: the result is invalid, and
+    If the result and v have opposite signs, the speed does cross zero. The result is then invalid, and
     `stop_or_reverse` gives the speed.
 
     Args:
@@ -122,9 +122,9 @@ def stop_or_reverse(
 ) -> Any:
     """Compute final speed, m/s, and distance, m, of a step of length h in which the coordinate comes to rest.
 
-    The coordinate decelerates to rest. Then it stays at rest if static friction holds it (|f| <= F);
-    otherwise it reverses for the remaining time. The result is valid only where `update_speed` changes the
-    sign of the speed.
+    The coordinate decelerates to rest. If static friction holds it (|f| <= F), it stays at rest; otherwise it
+    reverses for the remaining time. The result is valid only where `update_speed` changes the sign of the
+    speed.
 
     Args:
         v: Speed before the step, m/s.

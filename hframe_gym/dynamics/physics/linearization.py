@@ -104,7 +104,7 @@ def linearize(machine: Machine, position: ArrayLike | None = None) -> StateSpace
 def evaluate_beside_rest(
     equations: Equations, position: Array, deviations: NDArray[Any]
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Evaluate the equations, without Coulomb friction, at points beside rest.
+    """Evaluate accelerations and sensor readings at deviations from rest, without Coulomb friction.
 
     Args:
         position: Position of every coordinate at rest, m or rad, shape (n,).
@@ -148,12 +148,15 @@ def mode_frequencies(machine: Machine, position: ArrayLike | None = None) -> Arr
 
 
 def belt_modes(machine: Machine) -> list[float]:
-    """Return the frequencies of the masses on the belts, Hz, ascending; empty without elastic belts."""
+    """Return the vibration frequencies of the masses on the belts, Hz, ascending.
+
+    Empty without elastic belts.
+    """
     return [float(frequency) for frequency in mode_frequencies(machine) if frequency > 0.0]
 
 
 def resolved_step(machine: Machine, longest_step: float) -> float:
-    """Return an integration step, s, that resolves the fastest vibration and delays, up to `longest_step`, s.
+    """Return an integration step, s, short enough for the fastest vibration and for delays.
 
     Steps that are too long for a stiff belt change the frequency of its vibration, and much longer ones make
     the integrator diverge. The step is therefore at most 0.75 / the highest natural frequency (rad/s) at
@@ -161,8 +164,9 @@ def resolved_step(machine: Machine, longest_step: float) -> float:
     shorter for voltages that act with a delay: they change inside a step, whose error falls with the square
     of its length.
 
-    The step is at least a hundredth of `longest_step`. A machine that needs shorter ones has a wrong mass or
-    stiffness, and its simulation then ends with an error instead of running out of memory.
+    The step is between a hundredth of `longest_step`, s, and `longest_step`. A machine that needs shorter
+    steps has a wrong mass or stiffness, and its simulation then ends with an error instead of running out of
+    memory.
     """
     return max(_resolving_step(machine, longest_step), _SHORTEST_PART * longest_step)
 
@@ -188,7 +192,7 @@ def _operating_point(machine: Machine, position: ArrayLike | None) -> tuple[Equa
 
 
 def matrix_exponential(matrix: Array) -> Array:
-    """Compute the exponential of a dimensionless `matrix`, shape (n, n), equal to the bit for any threads."""
+    """Compute the exponential of a `matrix`, dimensionless, shape (n, n); threads do not change any bit."""
     from scipy.linalg import expm
 
     with single_threaded_linear_algebra():

@@ -1,4 +1,4 @@
-"""A machine whose parameters are floats, arrays or symbolic expressions: its coefficients and its effects."""
+"""The coefficients and effects of a machine whose parameters are floats, arrays or symbolic expressions."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class MotionPoint:
         time: Time since the machine was switched on, s.
         effect_states: State of each effect that has one (bristle deflection, motor current, ...), in its
             unit, by its index in `ParameterizedMachine.instances`.
-        elapsed: Time that has passed since `effect_states` were valid, s; None if they are those of this
-            point. In a step of the integrator it is half of the step, of which this point is the middle.
+        elapsed: Time since the instant of `effect_states`, s: half a step at the middle of a step of the
+            integrator. None if they belong to this point.
         gained: Change of `speed` in this step, m/s; None: not known, and taken as zero.
     """
 
@@ -73,7 +73,7 @@ class ParameterizedMachine:
     # -- parameters ------------------------------------------------------------------------------------------
 
     def parameter(self, name: str) -> Value:
-        """Return a machine parameter's value, SI, in this object, by its full name ("x.mass").
+        """Return the value of a parameter, SI, given its full name, such as "x.mass".
 
         A tied parameter (`Machine.ties`) is a factor times the value of another one.
 
@@ -113,7 +113,7 @@ class ParameterizedMachine:
         return self._coordinates[i].mass / (self.radius(i) * self.radius(i))
 
     def coulomb(self, i: int) -> Value:
-        """Return coordinate i's Coulomb friction along its belt travel, N, without changes by effects."""
+        """Return the Coulomb friction force of coordinate i along its belt travel, N, without effects."""
         return self._coordinates[i].coulomb / self.radius(i)
 
     def viscous(self, i: int, direction: Value) -> Value:
@@ -163,7 +163,7 @@ class ParameterizedMachine:
         yield from sorted(here, key=lambda entry: entry[1].definition.signal_order)
 
     def effects_on(self, hook: str, i: int) -> Iterator[tuple[int, AppliedEffect]]:
-        """Yield what `effects_at` yields for coordinate i and for the drives that move it."""
+        """Yield the results of `effects_at` for coordinate i and for the drives that move it."""
         for k, instance in enumerate(self.instances):
             if getattr(instance.effect.definition, hook) and instance.coordinate == i:
                 yield k, instance.effect
@@ -205,10 +205,10 @@ class ParameterizedMachine:
         formula `next_state` advances the state to the time of the point.
 
         Args:
-            **arguments: Input of the formula `next_state`: `level`, the Coulomb friction force, N or Nm, for
-                an effect that replaces dry friction; for an effect on a drive's current or its law, those
-                that it takes of `i`, the current before the effect changes it, A, the motor voltage `V`, the
-                position `q` and the gear ratio `N`. No input for any other effect.
+            **arguments: Arguments of the formula `next_state`: for an effect that replaces dry friction
+                `level`, the Coulomb friction force, N or Nm; for an effect on a drive's current or law, as
+                far as the formula takes them, the current `i` without the effect, A, the motor voltage `V`,
+                the position `q` and the gear ratio `N`. None for other effects.
         """
         if k not in self.states:
             return 0.0

@@ -21,9 +21,9 @@ class SignalEquations(BeltEquations):
     """
 
     def motor_voltages(self, voltages: Sequence[Value]) -> list[Value]:
-        """Apply the effects of the amplifiers (offset, gain, dead band, ...) to the commanded voltages, V.
+        """Compute the motor voltages, V, by applying the amplifiers' effects (offset, gain, dead band, ...).
 
-        The voltages are those after the drives' delays.
+        The arguments are the commanded voltages after the drives' delays.
         """
         result = []
         for j, (drive, voltage) in enumerate(zip(self.machine.drives, voltages, strict=True)):
@@ -43,9 +43,9 @@ class SignalEquations(BeltEquations):
     ) -> list[Value]:
         """Compute the reading of every sensor, with its effects (scale, skew, ...), without delay and noise.
 
-        A position, speed or acceleration is a sum of those of coordinates (or of products of two positions)
-        times the coefficients in the sensor's `row`, a current one of those of drives, a tension one of those
-        of belts; the formula of the sensor's kind gives the reading. Values are floats, arrays of one common
+        A sensor's quantity is a weighted sum, with the coefficients in its `row`: of positions (or products
+        of two), speeds or accelerations of coordinates, of currents of drives, or of tensions of belts. The
+        formula of the sensor's kind converts the sum to the reading. Values are floats, arrays of one common
         shape (...) or symbolic expressions.
 
         Args:
@@ -56,7 +56,7 @@ class SignalEquations(BeltEquations):
                 sensors of accelerations.
             currents: Current of each drive, A, shape (...) each; needed for sensors of currents.
             effect_states: State of each effect that has one, SI, shape (...) each, by index in `instances`;
-                of those of pulleys, tensions depend. Default: 0.
+                tensions depend on the states of pulleys. Default: 0.
 
         Returns:
             Reading of every sensor in its unit, in the machine's order, shape (...) each.
@@ -130,7 +130,7 @@ class SignalEquations(BeltEquations):
         return [self._delay("measurement_delay", s.channel) for s in self.machine.sensors]
 
     def step_factor(self, effect_states: Mapping[int, Value]) -> Value:
-        """Return a step's duration / that by the log's clock, with the effects on it and their states, SI."""
+        """Return the duration of a step / its duration by the log's clock, given the effects' states, SI."""
         factor: Value = 1.0
         for k, e in self.effects_at("clock", "machine"):
             factor = factor + self.evaluate(e, "clock", {"z": effect_states[k]})

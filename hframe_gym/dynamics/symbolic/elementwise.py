@@ -162,7 +162,7 @@ def any_of(condition: Any) -> Any:
 
 
 def named(role: str, index: int, value: Any) -> Any:
-    """Give a value the name `role_index`, as "extension_0", in the source text of a kernel, and return it.
+    """Name a value `role_index`, such as "extension_0", in the source text of a kernel; return the value.
 
     The names make this text, which `hframe kernel` prints, readable; they do not change results.
     """

@@ -19,7 +19,7 @@ _ATOM = 7  # names, numbers and calls
 
 
 class Recorder(Protocol):
-    """What an expression needs of the record of the function to which it belongs, a `tracing.Trace`."""
+    """The part of a `tracing.Trace`, the record of a function, that its expressions need."""
 
     signature: str
     names: dict[Expression, str]
@@ -29,7 +29,7 @@ class Recorder(Protocol):
         """Return the expression of an operation."""
 
     def expression(self, value: Any) -> Expression:
-        """Return the expression of a number, or the expression itself."""
+        """Convert a number to an expression; return an expression unchanged."""
 
     def let(self, role: str, index: int, value: Any) -> Expression:
         """Give an expression a name in the source text."""
@@ -41,7 +41,7 @@ class Recorder(Protocol):
 
 
 class Expression:
-    """A value in a generated function: a number, a variable, a row of an array, or an operation on such.
+    """A value in a generated function: a number, a variable, a row of an array, or an operation on values.
 
     Attributes:
         trace: Record of the function to which the expression belongs.
@@ -161,7 +161,9 @@ class Statement:
 
 
 def simplified(operation: str, values: tuple[Expression, ...]) -> Expression | None:
-    """Simplify an operation if at most the sign of a zero may differ: 2 + 3, x + 0, x * 1; else return None.
+    """Simplify an operation, such as 2 + 3, x + 0 or x * 1, if possible; else return None.
+
+    At most the sign of a zero may change.
 
     Raises:
         ValueError: If an operation on two numbers gives no finite number.

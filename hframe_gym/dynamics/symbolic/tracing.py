@@ -57,8 +57,7 @@ class Trace:
     def node(self, operation: str, *operands: Any) -> Expression:
         """Return the expression of an operation, such as a + b or sin(a); equal ones give the same object.
 
-        The operation is simplified if the result is the same but for the sign of a zero, for example x + 0 to
-        x.
+        Operations such as x + 0 are simplified, which may change the sign of a zero.
 
         Raises:
             ValueError: If a number, or the result of an operation on two numbers, is not finite.
@@ -76,7 +75,10 @@ class Trace:
         return self._nodes[key]
 
     def expression(self, value: Any) -> Expression:
-        """Convert a finite number to an expression of the generated function; keep an expression."""
+        """Convert a finite number to an expression of the generated function.
+
+        Return an expression unchanged.
+        """
         if isinstance(value, Expression):
             return value
         number = float(value)
@@ -123,7 +125,7 @@ class Trace:
     # -- statements ------------------------------------------------------------------------------------------
 
     def variable(self, role: str, index: int | None, value: Expression) -> Expression:
-        """Append a statement that creates a variable, named role_index, with a value, for `assign`."""
+        """Append a statement that creates a variable `role_index` with a value; `assign` changes it later."""
         variable = self._unique("variable", (self._identifier(role, index), 0), invariant=False)
         self._block.append(Statement(f"{variable.operands[0]} = {{}}", (value,), (variable,)))
         return variable
@@ -151,7 +153,10 @@ class Trace:
         return variables
 
     def assign(self, variable: Expression, value: Expression) -> Expression:
-        """Append an assignment to a variable; use only the returned expression of the variable afterwards."""
+        """Append an assignment to a variable and return its new expression.
+
+        Do not use the old one afterwards.
+        """
         name, version = variable.operands
         changed = self._unique("variable", (name, version + 1), invariant=False)
         self._block.append(Statement(f"{name} = {{}}", (value,), (changed,)))

@@ -77,7 +77,7 @@ class FormulaEffect:
         return {parameter.name: value for parameter, value in self._parameters()}
 
     def definition(self) -> Effect:
-        """Return the effect's definition, as in the file of `write_effect_file`, without registering it."""
+        """Return the definition of the effect, without registering it."""
         namespace: dict[str, Any] = {"__name__": f"hframe_formula_{self.name}"}
         exec(compile(self._definition_source(), f"<effect {self.name}>", "exec"), namespace)
         return namespace["EFFECT"]
@@ -299,7 +299,7 @@ class FormulaEffect:
 
 
 def write_effect_file(effect: FormulaEffect, path: Path) -> None:
-    """Write the Python file that defines and registers an effect; an InputError if that is impossible."""
+    """Write the Python file that defines and registers an effect; InputError if it cannot be written."""
     if path.exists():
         raise InputError(f"{path}: the file exists; remove it or choose another name with --out")
     try:

@@ -74,7 +74,7 @@ class Curve:
 
     @cached_property
     def fine(self) -> Array:
-        """Close values of the variable from the first knot to the last, in its unit, shape (points,)."""
+        """Closely spaced values of the variable from the first knot to the last, shape (points,)."""
         pieces = np.linspace(self.knots[:-1], self.knots[1:], _FINE_POINTS, endpoint=False, axis=1)
         return np.append(pieces.ravel(), self.knots[-1])
 
@@ -164,12 +164,12 @@ class Formula:
 
 
 def fit_formulas(curve: Curve, terms: Sequence[Term], count: int = 3) -> tuple[Formula, ...]:
-    """Propose formulas for a curve: sums of terms with a small error for their parameters (complexity).
+    """Propose formulas for a tabulated curve: sums of terms that have a small error for their complexity.
 
     Returns:
-        Formulas by increasing complexity: those whose error at left-out knots (cross-validation) is clearly
-        smaller than that of all simpler ones (Pareto front), and if there are fewer than `count`, other
-        formulas that are no more complex than the last.
+        Formulas by increasing complexity (number of parameters). Each has a clearly smaller error at left-out
+        knots (cross-validation) than all simpler ones (Pareto front). If there are fewer than `count`, other
+        formulas of at most the same complexity are added.
 
     Raises:
         ImportError: If scikit-learn is not installed; the message names the extra `formulas`.

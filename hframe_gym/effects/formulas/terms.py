@@ -172,9 +172,9 @@ class Term:
         return np.stack([np.asarray(column(u, *shapes), float) for column in self.columns], axis=1)
 
     def grid(self, low: float, high: float) -> list[tuple[float, ...]]:
-        """Return start values for a search of shape parameters: all combinations of centers, widths, periods.
+        """Return start values for fitting the shape parameters: all combinations of centers, widths, periods.
 
-        A term without shape parameters has a single empty one.
+        A term without shape parameters has a single empty combination.
 
         Args:
             low: Smallest value of the variable in the data, SI.

@@ -30,10 +30,10 @@ def motor() -> Machine:
 
 
 def wheel() -> Machine:
-    """Return a wheel of a small mobile robot behind a gear motor, which a bridge drives with a duty cycle.
+    """Return a wheel of a small mobile robot, on a gear motor whose H-bridge takes a duty cycle.
 
-    A wheel of 35 mm carries half of a robot of 1 kg, 6e-4 kg m^2 of the total, and the rotor counts 900
-    times.
+    The wheel has a radius of 35 mm and carries half of a robot of 1 kg, 6e-4 kg m^2 of the inertia; the
+    rotor's inertia counts 900 times.
 
     Returns:
         The preset `wheel`: coordinate wheel (rad), one drive of the kind "duty-cycle" with a supply of 6 V
