@@ -124,7 +124,7 @@ def other_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> Vo
 
 def _counted_again(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> VoltageUpdates | None:
     """Return another number of changes of interpolated voltages that the error confirms, or None."""
-    if _has_timing(fitted.machine):
+    if _delays_all_drives(fitted.machine):
         return _counted_beside_delay(fitted, data, criteria)
     excess = excess_delay(fitted, data)
     if excess is None:
@@ -237,7 +237,7 @@ def _with_delay(
         least: Least delay, s.
         goal: Cost, dimensionless, above which the fit is of no use (`fit`).
     """
-    if _has_timing(fitted.machine):
+    if _delays_all_drives(fitted.machine):
         return continue_fit(fitted, data, fitted.bandwidth, goal=goal)
     delay = EFFECTS["input_delay"].at("drives", d=start)
     (definition,) = delay.definition.parameters
@@ -260,9 +260,14 @@ def _with_delay(
     )
 
 
-def _has_timing(machine: Machine) -> bool:
-    """Return whether drives of a machine act later than their voltages, by a delay or lag known already."""
-    return any(is_timing(effect.definition) for effect in machine.effects)
+def _delays_all_drives(machine: Machine) -> bool:
+    """Return whether all drives act later than their voltages, by delays or lags that are known already.
+
+    Another number of changes moves the voltages of all drives. A delay of one drive of several does not make
+    up for that.
+    """
+    late = {d for e in machine.effects if is_timing(e.definition) for d in e.components(machine)}
+    return late.issuperset(drive.name for drive in machine.drives)
 
 
 def is_timing(effect: Effect) -> bool:
@@ -389,40 +394,40 @@ def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
     held = continue_fit(fitted, data, SEARCH_BANDWIDTH)
     if not can_show_updates(data):
         return VoltageUpdates(1, held.chi2, held.chi2)
-    promising = required_gain(held.error, criteria) / _MOST_FURTHER_GAIN
-    per_row, best = _least_error(held, data, promising)
+    per_row, best = _least_error(held, data, criteria)
     if per_row > 1 and _change(held, best, data.with_updates(per_row), criteria):
         per_row = count_updates(best, data.with_updates(per_row))
         fitted = continue_fit(best, data.with_updates(per_row), SEARCH_BANDWIDTH)
         return VoltageUpdates(per_row, held.chi2, fitted.chi2)
-    beside_delay = _changing_beside_delay(held, data, promising, criteria)
+    beside_delay = _changing_beside_delay(held, data, criteria)
     return beside_delay or VoltageUpdates(1, held.chi2, held.chi2)
 
 
-def _changing_beside_delay(
-    held: Fit, data: Dataset, promising: float, criteria: SelectionCriteria
-) -> VoltageUpdates | None:
+def _changing_beside_delay(held: Fit, data: Dataset, criteria: SelectionCriteria) -> VoltageUpdates | None:
     """Return how often the voltages change between the rows if drives act as late as held voltages do.
 
     Held voltages act late by half a sampling period, and so do voltages that change between the rows of
     drives with a delay or lag. Both are compared with the delay as a parameter; None if the voltages may be
     held. What tells them apart is how smoothly the voltages change. As held voltages cannot act earlier than
     that, changing ones must not in this comparison either: a simulator of Euler steps acts earlier by half a
-    step, and a laser that is late seems to.
+    step, and a laser that is late seems to. Two changes a row must reduce the error by a part of what an
+    effect must, because what a machine without an effect leaves changes a little with everything. What the
+    delay explains does not count: held voltages may have it as well.
 
     Args:
         held: Fit with voltages that are held from row to row.
         data: The same runs.
-        promising: By how much two changes a row must reduce chi-squared per sample, dimensionless: what a
-            machine without an effect leaves changes a little with everything.
     """
     changing = data.with_updates(_FEWEST_UPDATES)
-    enough = held.cost - promising * held.count
     earlier = (0.5 - 0.5 / _FEWEST_UPDATES) * data.period
-    as_late = _with_delay(held, changing, start=earlier, least=earlier, goal=enough)
-    if not as_late.cost < enough:
+    # Held voltages with a delay leave no more than without, so that most comparisons end here, with one fit.
+    as_late = _with_delay(held, changing, start=earlier, least=earlier, goal=_promising_cost(held, criteria))
+    if not as_late.cost < _promising_cost(held, criteria):
         return None
-    if not _change(_with_delay(held, data), as_late, changing, criteria):
+    held_late = _with_delay(held, data)
+    if not as_late.cost < _promising_cost(held_late, criteria):
+        return None
+    if not _change(held_late, as_late, changing, criteria):
         return None
     delayed = _with_delay(held, changing, start=earlier)
     number, best = _with_fewest_changes(delayed, changing, criteria)
@@ -481,17 +486,22 @@ def successive_changes(data: Dataset) -> float:
     return successive / max(changes, 1)
 
 
-def _least_error(held: Fit, data: Dataset, promising: float) -> tuple[int, Fit]:
+def _least_error(held: Fit, data: Dataset, criteria: SelectionCriteria) -> tuple[int, Fit]:
     """Return the number of changes with the least error, and its fit; a fit with held voltages is given.
 
-    More than two are tried only if two reduce chi-squared per sample by the promising gain.
+    More than two are tried only if two reduce the error as `_promising_cost` says.
     """
     best, per_row = held, 1
-    most = most_updates(data)
+    most, promising = most_updates(data), _promising_cost(held, criteria)
     for trial in (number for number in _TRIALS if number <= most):
-        goal = min(best.cost, held.cost - promising * held.count)
+        goal = min(best.cost, promising)
         refitted = continue_fit(best, data.with_updates(trial), held.bandwidth, goal=goal)
-        if not refitted.cost < best.cost or held.chi2 - refitted.chi2 < promising:
+        if not refitted.cost < best.cost or refitted.cost > promising:
             break
         best, per_row = refitted, trial
     return per_row, best
+
+
+def _promising_cost(held: Fit, criteria: SelectionCriteria) -> float:
+    """Return the cost, dimensionless, below which two changes a row may lead to as much as an effect must."""
+    return held.cost - required_gain(held.error, criteria) / _MOST_FURTHER_GAIN * held.count

@@ -20,7 +20,9 @@ from hframe_gym.identification.fit.slow_logs import ExcessDelay, excess_delay
 from hframe_gym.identification.fit.voltage_updates import (
     VoltageUpdates,
     _changing_beside_delay,
+    _delays_all_drives,
     _least_error,
+    _with_delay,
     can_show_updates,
     count_updates,
     describe_interpolation,
@@ -110,7 +112,7 @@ def test_rows_as_close_as_the_steps_of_the_search_are_not_divided() -> None:
     assert can_show_updates(slow)
     assert not can_show_updates(fast)
     held = fit(AXIS, default_free_parameters(AXIS), fast, SEARCH_BANDWIDTH, iterations=2)
-    assert _least_error(held, fast, 0.0) == (1, held)  # the same fit, beside no other one
+    assert _least_error(held, fast, SelectionCriteria()) == (1, held)  # the same fit, beside no other one
     assert voltage_updates(held, fast, SelectionCriteria()).per_row == 1
 
 
@@ -126,10 +128,10 @@ def test_the_motion_shows_how_often_the_voltages_change() -> None:
 
 
 @cache
-def delayed_log() -> Dataset:
-    """Return logs of a drive that acts two of four changes a row late: half a row, as held voltages do."""
+def delayed_log(changes: int = 2) -> Dataset:
+    """Return logs of a drive that acts late by some of four changes a row; by two, as held voltages do."""
     runs = (moved(seed, window=30) for seed in range(3))
-    late = (dataclasses.replace(run, inputs=np.roll(run.inputs, -2)) for run in runs)
+    late = (dataclasses.replace(run, inputs=np.roll(run.inputs, -changes)) for run in runs)
     return prepare([every(run, 4) for run in late], AXIS)
 
 
@@ -142,13 +144,33 @@ def test_a_delay_of_the_drives_does_not_hide_that_voltages_change_between_the_ro
     assert updates.fitted < 0.5 * updates.held
 
 
-def test_what_a_missing_effect_leaves_must_fall_clearly_before_a_delay_is_assumed() -> None:
-    """Where an effect is missing, smoother voltages and a delay reduce the error a little."""
-    data = delayed_log()
+@pytest.mark.parametrize(("part", "change"), [(0.5, True), (1.5, False)])
+def test_what_a_delay_explains_is_no_sign_of_changes_between_the_rows(part: float, change: bool) -> None:
+    """Where an effect is missing, smoother voltages reduce the error a little; those with a delay, a lot."""
+    data = delayed_log(changes=6)
     held = refitted(data)
-    gain = held.chi2 - found(data).fitted
-    assert _changing_beside_delay(held, data, 0.5 * gain, SelectionCriteria()) is not None
-    assert _changing_beside_delay(held, data, 1.5 * gain, SelectionCriteria()) is None
+    held_late, as_late = (_with_delay(held, runs, start=1e-3) for runs in (data, data.with_updates(2)))
+    gain = held_late.chi2 - as_late.chi2
+    assert held.chi2 - held_late.chi2 > 10.0 * gain > 0.0
+    criteria = SelectionCriteria(min_gain_fraction=2.0 * part * gain / held_late.error.excess)
+    assert (_changing_beside_delay(held, data, criteria) is not None) == change
+
+
+@pytest.mark.parametrize(
+    ("late", "all_drives"),
+    [
+        ({"drives": 1e-3}, True),
+        ({"motor2": 1e-3}, False),
+        ({"motor1": 1e-3, "motor2": 2e-3}, True),
+        ({}, False),
+    ],
+)
+def test_only_a_delay_of_all_drives_makes_up_for_another_number_of_changes(
+    late: dict[str, float], all_drives: bool
+) -> None:
+    """Beside that of one drive of several, instruments tell how late the voltages of all drives act."""
+    delays = (EFFECTS["input_delay"].at(site, d=delay) for site, delay in late.items())
+    assert _delays_all_drives(BUILTIN_MACHINES["hframe"]().with_effects(*delays)) == all_drives
 
 
 @pytest.mark.parametrize("share", [0.05, 0.1])
