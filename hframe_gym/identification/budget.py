@@ -53,14 +53,13 @@ Progress = Callable[[str, float, float], None]
 
 
 class StageEnds(NamedTuple):
-    """Parts of the budget after which the stages of an identification end, dimensionless.
+    """Fractions of the budget after which the stages of an identification end.
 
     Attributes:
         search: Search for effects.
-        tests: Tests of what a search that ended early has found; what they do not reach is not named.
-        last_fit: Last fit of the machine without effects, where the tests took all of their time. It must be
-            delivered.
-        all_rows: Fit to all rows, after a search in a part of them.
+        tests: Tests of the effects that a search found before it ended early; untested effects are not named.
+        last_fit: Last fit of the machine without effects, if the tests took all of their time.
+        all_rows: Fit to all rows, after a search in some of them.
     """
 
     search: float
@@ -70,12 +69,12 @@ class StageEnds(NamedTuple):
 
 
 def stage_ends(machine: Machine, *, in_part: bool = False) -> StageEnds:
-    """Return when the stages of an identification end, so that each stage that may follow still has its part.
+    """Return when each stage of an identification must end, so that the later stages have time.
 
     Args:
-        machine: Machine that is identified. Without belts, a description may follow: there a search that ends
-            early rarely names the cause, and the description reduces the error most.
-        in_part: Whether effects are searched for in a part of the rows, which a fit to all of them follows.
+        machine: Machine to identify. Without belts, time is kept for a description by tables, because a
+            search that ends early rarely names the cause there.
+        in_part: Whether the search uses only some of the rows, so that a fit to all rows follows.
     """
     all_rows = LAST_STAGE_END - (0.0 if machine.belts else _STAGE_PART)
     tests = all_rows - (_STAGE_PART if in_part else 0.0)
@@ -87,10 +86,10 @@ class BudgetEndedError(Exception):
 
 
 class Budget:
-    """Processor time that an identification may take.
+    """Processor time that an identification may take, and what has been used of it.
 
     Attributes:
-        seconds: Processor time, s; infinite: the search ends by itself.
+        seconds: Processor time, s; infinite if the search has no limit.
         doing: What the search does or did last, in words.
         interrupted: Whether the user asked the search to end.
         searching: Whether a search is in progress that can end early.
@@ -137,7 +136,7 @@ class Budget:
 
     @property
     def spent(self) -> float:
-        """Processor time since the budget was made, with what was spent before, s."""
+        """Processor time used so far, s, including time before this object was created."""
         return self._clock() - self._began
 
     @property
@@ -151,14 +150,14 @@ class Budget:
         return f"the budget of {self.seconds:.0f} s of processor time ended"
 
     def stop(self) -> None:
-        """Let the search end at its next step, with the best machine so far."""
+        """Ask the search to end at its next step, with the best machine so far."""
         self.interrupted = True
 
     def check(self, doing: str = "") -> None:
-        """Let the search go on, or end it.
+        """End the search by an exception if its time is used up; report progress.
 
         Args:
-            doing: What the search does next, if it is another thing than at the last call.
+            doing: What the search does next, in words. Default: the same as at the last call.
 
         Raises:
             BudgetEndedError: If the time for the search is used up, or the user interrupted.
@@ -169,7 +168,7 @@ class Budget:
             self._progress(self.doing, self.spent, self.seconds)
 
     def check_quietly(self) -> None:
-        """Let the search go on, or end it, as `check` does, but without a report of progress.
+        """End the search by an exception if its time is used up, without a report of progress.
 
         Raises:
             BudgetEndedError: If the time for the search is used up, or the user interrupted.
@@ -181,7 +180,9 @@ class Budget:
             raise BudgetEndedError
 
     def goes_on(self) -> bool:
-        """Return whether the present stage has time; a stage that need not deliver is ended by an exception.
+        """Return whether the current stage has time left.
+
+        A stage that must deliver a machine gets False when its time ends; any other stage gets an exception.
 
         Raises:
             BudgetEndedError: If the time of a stage that need not deliver is used up, or the user interrupted
@@ -194,13 +195,13 @@ class Budget:
 
     @property
     def session_part(self) -> float:
-        """Part of a normal session that can be fitted in time, dimensionless; all without a search."""
+        """Fraction of a session of normal size that can be fitted in the budget; 1 without a search."""
         if self.seconds == 0.0:
             return 1.0
         return min(max(self.seconds / DEFAULT_SECONDS, _LEAST_SESSION_PART), 1.0)
 
     def has_time(self, part: float) -> bool:
-        """Return whether a stage that ends after some part of the budget may begin.
+        """Return whether less than the fraction `part` of the budget is used, so that a stage may begin.
 
         Args:
             part: Part of the budget, dimensionless.
@@ -208,19 +209,19 @@ class Budget:
         return not self.interrupted and self.spent < self._end(part)
 
     def reserve(self, seconds: float) -> None:
-        """Let all stages end earlier, if the last part of the budget is too short for what follows them.
+        """Reserve time for the work after the last stage; all stages end earlier if necessary.
 
         Args:
-            seconds: Processor time that follows the last stage, up to the end of the identification, s; it
-                takes the place of an earlier estimate.
+            seconds: Expected processor time from the last stage to the end of the identification, s. It
+                replaces an earlier estimate.
         """
         self._reserved = min(seconds + self._afterwards, _LARGEST_RESERVE * self.seconds)
 
     def expect_tests(self, seconds: float) -> None:
-        """Let a stage that tests follow end earlier, if these would otherwise not end in time.
+        """Let the current stage end earlier if the tests of its findings would otherwise exceed the budget.
 
         Args:
-            seconds: Processor time that the tests of what the stage found will take, s.
+            seconds: Expected processor time of these tests, s.
         """
         self._tests = min(seconds, _LARGEST_RESERVE * self.seconds)
 
@@ -229,7 +230,7 @@ class Budget:
         return part * min(self.seconds, (self.seconds - self._reserved) / LAST_STAGE_END)
 
     def until(self, part: float, longest: float = math.inf) -> Budget:
-        """Return a budget of its own for a stage, which an earlier interruption does not end.
+        """Return a separate budget for one stage; an earlier interruption by the user does not end it.
 
         Args:
             part: Part of this budget after which the stage ends, dimensionless.
@@ -242,13 +243,13 @@ class Budget:
     def limiting(
         self, part: float = 1.0, *, delivers: bool = False, tests: float = math.inf
     ) -> Iterator[None]:
-        """Let `spend` ask this budget within a `with` block.
+        """Make this budget the active one, which `spend` and `goes_on` ask, in a `with` block.
 
         Args:
             part: Part of the budget after which the stage ends, dimensionless.
-            delivers: Whether fits of the stage end with their best parameters then, instead of unwinding.
-            tests: Part of the budget after which the tests end that follow the stage (`expect_tests`),
-                dimensionless. Default: none follow.
+            delivers: Whether fits of the stage then end with their best parameters instead of an exception.
+            tests: Part of the budget after which the tests that follow the stage end (`expect_tests`),
+                dimensionless. Default: no tests follow.
         """
         token = _ACTIVE.set(self)
         self.searching, self._part, self.delivers = True, part, delivers
@@ -265,7 +266,7 @@ _ACTIVE: ContextVar[Budget | None] = ContextVar("budget", default=None)
 
 
 def spend(doing: str = "") -> None:
-    """Ask the active budget, if there is one, whether the search may go on.
+    """End the search by an exception if the active budget is used up; searches call it between fits.
 
     Args:
         doing: What the search does next, in words. Default: the same as at the last call.
@@ -279,20 +280,20 @@ def spend(doing: str = "") -> None:
 
 
 def goes_on() -> bool:
-    """Ask the active budget, if there is one, whether a fit may go on.
+    """Return whether a fit may continue by the active budget, if there is one; fits call it in iterations.
 
     Returns:
-        Whether it may; False only in a stage that must deliver. The fit then ends with its best parameters.
+        False only in a stage that must deliver a machine; the fit then ends with its best parameters.
 
     Raises:
-        BudgetEndedError: If another stage has no time left, or the user interrupted it.
+        BudgetEndedError: If the time of any other stage is used up, or the user interrupted it.
     """
     budget = _ACTIVE.get()
     return True if budget is None else budget.goes_on()
 
 
 def note_error(chi2: float) -> None:
-    """Tell the active budget, if there is one, how good the best machine so far is.
+    """Store the error of the best machine so far in the active budget, if there is one, to report progress.
 
     Args:
         chi2: Chi-squared per sample, dimensionless.
@@ -302,7 +303,7 @@ def note_error(chi2: float) -> None:
 
 
 def error_so_far() -> float | None:
-    """Return how good the best machine of the search in progress is.
+    """Return the error of the best machine so far in the current search.
 
     Returns:
         Chi-squared per sample, dimensionless; None without a search, or before its first fit.
@@ -312,19 +313,19 @@ def error_so_far() -> float | None:
 
 
 def may_begin_again() -> bool:
-    """Ask the active budget, if there is one, whether a second search would have time."""
+    """Return whether the active budget, if there is one, leaves time for a second search."""
     budget = _ACTIVE.get()
     return budget is None or budget.has_time(SECOND_SEARCH_PART)
 
 
 def seconds_spent() -> float:
-    """Return the processor time that the active budget counts, s; 0 without one."""
+    """Return the processor time that the active budget has counted, s; 0 without an active budget."""
     budget = _ACTIVE.get()
     return 0.0 if budget is None else budget.spent
 
 
 def expect_tests(seconds: float) -> None:
-    """Tell the active budget, if any, how long the tests of findings will take (`Budget.expect_tests`).
+    """Call `Budget.expect_tests` of the active budget, if there is one.
 
     Args:
         seconds: Processor time, s.
@@ -334,10 +335,10 @@ def expect_tests(seconds: float) -> None:
 
 
 def spender() -> Callable[[], None]:
-    """Return a function that asks the budget which is active in this thread.
+    """Return a function for other threads that does what `spend` does in this thread.
 
     Returns:
-        Function without arguments for other threads; it raises `BudgetEndedError` as `spend` does.
+        Function without arguments; it raises `BudgetEndedError` as `spend` does.
     """
     budget = _ACTIVE.get()
     return (lambda: None) if budget is None or budget.delivers else budget.check_quietly

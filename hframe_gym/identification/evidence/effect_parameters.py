@@ -14,11 +14,11 @@ from ..propose.candidates import covered_by_runs
 
 
 def parameter_values(label: str, fitted: Fit) -> tuple[ParameterValue, ...]:
-    """Return the parameters of an effect with the limits at which their values say little.
+    """Return the parameters of a fitted effect, with the limits at which a value is hardly reliable.
 
     Args:
         label: Label (name@site) of the effect.
-        fitted: Fit of the machine with it.
+        fitted: Fit of the machine with the effect.
     """
     effect = next(e for e in fitted.machine.effects if e.label == label)
     free = {f.name: f for f in fitted.free}
@@ -35,14 +35,14 @@ def parameter_values(label: str, fitted: Fit) -> tuple[ParameterValue, ...]:
 
 
 def sizes(effect: AppliedEffect, machine: Machine) -> tuple[Size, ...]:
-    """Return the parameters without which a fitted effect is absent, with their standard deviations.
+    """Return the amplitudes of a fitted effect, whose value 0 means that it is absent, with their errors.
 
     Args:
         effect: The effect with its fitted parameters.
         machine: Machine with the covariance of its parameters.
 
     Returns:
-        The sizes that were fitted; none without a covariance.
+        The fitted amplitudes with their standard deviations; none without a covariance.
     """
     uncertainty = machine.uncertainty
     if uncertainty is None:

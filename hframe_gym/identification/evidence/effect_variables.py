@@ -58,10 +58,10 @@ def _changes_with_time(effect: AppliedEffect) -> bool:
 
 
 def curves_of_one_variable(effects: Sequence[AppliedEffect], machine: Machine) -> list[AppliedEffect]:
-    """Return the effects that are functions of the same variable of one coordinate, two at least.
+    """Return those effects, at least two, that are functions of the same variable of one coordinate.
 
-    Together they are a curve over this variable, periodic ones among them. Effects with a memory are none,
-    and those of variables that no table has, such as a voltage.
+    Together they form one curve over this variable, periodic effects included. Effects with a memory are left
+    out, and those of variables that no table has, such as a voltage.
 
     Args:
         effects: Effects of the machine among which to look.
@@ -90,10 +90,10 @@ def _variables(effect: AppliedEffect) -> set[tuple[str, bool]]:
 
 
 def describes_one_run(effect: Effect) -> bool:
-    """Return whether an effect may describe a fault of one run of a session, whatever it is in the others.
+    """Return whether an effect can describe a fault of a single run, so that other runs must confirm it.
 
-    A function of time and a clock act in each run as they do at its time only, a winding begins each run with
-    another gain, and a table has values that are fitted where one run alone reaches.
+    This holds for four kinds: a function of time and a clock act only at the time of the run, a winding
+    begins each run with another resistance, and a table has values that a single run may determine.
     """
     over_time = any(
         hook and "t" in argument_names(hook) for hook in (getattr(effect, name) for name in HOOKS)

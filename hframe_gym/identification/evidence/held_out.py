@@ -21,14 +21,14 @@ from .tried_effects import SelectedEffect
 
 
 def held_out_gain(selected: SelectedEffect, machine: Machine, held_out: Dataset, bandwidth: float) -> float:
-    """Return the fraction of the squared error of the held-out runs that one of several effects removes.
+    """Return the fraction of the held-out runs' squared error that one of the machine's effects removes.
 
     The machine with all effects is compared with a copy without this effect, whose other parameters are
-    equal. If the effect added coordinates, it is compared with the machine that was fitted with all other
+    equal. If the effect added coordinates, the comparison is with the machine that was fitted with all other
     effects.
 
-    An observer hides slow errors, and with them what a small constant force explains. If it shows no gain,
-    the error of a simulation decides, provided that the effect removes more than half of that.
+    An observer hides slow errors, and with them the effect of a small constant force. If it shows no gain,
+    the error of a simulation decides, provided that the effect removes more than half of it.
 
     Args:
         machine: Machine with all effects.
@@ -89,8 +89,8 @@ def worsens_simulation(without: Machine, machine: Machine, held_out: Dataset) ->
     """Check whether a machine with effects simulates held-out runs worse than the refitted one without.
 
     An observer hides slow errors, so that wrong effects may reduce the error of predictions and add up in a
-    simulation. Errors of interpolated voltages add up there as well, to many times what effects change. Runs
-    with such errors are therefore predicted with the narrowest observer that suits them (`bandwidths_for`).
+    simulation. Errors of interpolated voltages also add up in a simulation. Runs with such errors are
+    therefore predicted with the observer of the smallest suitable bandwidth (`bandwidths_for`).
 
     Args:
         without: Refitted machine without the effects.
@@ -98,8 +98,8 @@ def worsens_simulation(without: Machine, machine: Machine, held_out: Dataset) ->
 
     Returns:
         True if the ratio of the squared simulation errors, with effects / without effects, has a geometric
-        mean over the runs above 1. In this mean, a single run with a large error of another cause counts
-        little. A run on which both simulations diverge does not count.
+        mean over the runs above 1. In this mean, a single run with a large error of another cause has little
+        weight. A run on which both simulations diverge does not count.
     """
     bandwidth, changes = bandwidths_for(held_out)[-1], []
     for run in held_out.single_runs():
@@ -138,7 +138,7 @@ def is_excited(selected: SelectedEffect, machine: Machine, held_out: Dataset, ba
 def shown_effects(
     selected: Sequence[SelectedEffect], machine: Machine, held_out: Dataset, bandwidth: float
 ) -> dict[str, judge.HeldOutEffect]:
-    """Return what the held-out runs say about each of several effects, by its label.
+    """Return the evidence of the held-out runs for each of several effects, by its label.
 
     Args:
         machine: Machine with all effects.
@@ -158,8 +158,8 @@ def contradicting_held_out_runs(
     """Find the held-out runs that a fitted machine explains far worse than the runs that it was fitted to.
 
     Either something was wrong with such a run (a loose connector, a slipped belt, another amplifier setting),
-    or it excites an effect that the fitted runs do not excite. A run whose error the effects cause refutes
-    these instead.
+    or it excites an effect that the fitted runs do not excite. A run is not listed if the selected effects
+    cause its error: it is evidence against them.
 
     Args:
         after: Fit of the machine with the selected effects.

@@ -27,7 +27,7 @@ _FLAT = 1e-9  # fraction of the largest tension that counts as rounding error
 
 
 def monotonic_belts(machine: Machine) -> bool:
-    """Check that no belt loses tension when extended further, as far as the rated voltage can extend it.
+    """Check that no belt loses tension when it is extended as far as the rated voltage can extend it.
 
     The largest extension of each belt is simulated for the machine without its effects, under voltages that
     switch at random between the positive and the negative rated voltage, and multiplied by 1.5. A tension
@@ -63,7 +63,9 @@ def top_speeds(machine: Machine) -> tuple[float, float]:
 
 
 def speeds_inside(machine: Machine, speeds: Array, positions: Array, reference: Array) -> tuple[float, float]:
-    """Return the top speeds with and without effects before the machine without effects leaves its workspace.
+    """Return the top speeds with and without effects, up to the time when the workspace is left.
+
+    That is the time when the machine without effects leaves it.
 
     Args:
         machine: The machine, with the ranges of its coordinates.
@@ -91,7 +93,7 @@ def _top(speeds: Array) -> float:
 
 
 def plausibility_fault(machine: Machine) -> str:
-    """Return why a machine is not physical outside its fitted recordings, so that it must not be used.
+    """Return why a machine is not physical outside its fitted recordings, or "" if it is.
 
     Returns:
         Clause that follows "it", for example "makes the machine diverge under random rated voltage"; empty if

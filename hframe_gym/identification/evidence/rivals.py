@@ -49,7 +49,7 @@ from .effect_parameters import parameter_values
 
 
 def simplest_first(trials: list[Fit], current: Fit, criteria: SelectionCriteria) -> list[Fit]:
-    """Sort trial fits of different effects by preference: of equal ones, that with fewest parameters first.
+    """Sort trial fits of different effects by preference: of equally good fits, the simplest comes first.
 
     Fits are as good as the best one if their cost (sum of squared residuals in units of the noise) exceeds
     its cost by no more than 3 % of the reduction from the cost of `current` to that of the best fit.
@@ -57,12 +57,12 @@ def simplest_first(trials: list[Fit], current: Fit, criteria: SelectionCriteria)
     Args:
         trials: Fits with one candidate effect each.
         current: Fit without a candidate, with the same observer bandwidth (rad/s) as the trials.
-        criteria: Decision thresholds; the values above are its defaults.
+        criteria: Decision thresholds; 3 % is the default.
 
     Returns:
-        The same fits in a new order. First those that are as good as the best one: the fit with the fewest
-        free parameters first, of these an effect that needs no special part. Then all others: lowest cost
-        first.
+        The same fits in a new order. First those that are as good as the best one, by number of free
+        parameters; with equal numbers, effects that need no special part come first. Then all others, by
+        cost.
     """
     ranked = sorted(trials, key=lambda trial: trial.cost)
     if not ranked:
@@ -77,7 +77,7 @@ def simplest_first(trials: list[Fit], current: Fit, criteria: SelectionCriteria)
 
 
 def limited_last(trials: list[Fit], current: Fit) -> list[Fit]:
-    """Move trial fits with a parameter at the limit of its range behind others that explain about as much.
+    """Move trial fits with a parameter at its limit behind others that explain about as much.
 
     Args:
         trials: Fits with one candidate effect each.
@@ -98,7 +98,7 @@ def limited_last(trials: list[Fit], current: Fit) -> list[Fit]:
 
 
 def selected_first(best: Fit, trials: list[Fit]) -> list[Fit]:
-    """Return trial fits with `best`, the converged fit of one effect, first and in place of its trial."""
+    """Put the converged fit of the selected effect, `best`, first and remove the trial fit of this effect."""
     label = best.machine.effects[-1].label
     return [best, *(t for t in trials if t.machine.effects[-1].label != label)]
 
@@ -106,13 +106,13 @@ def selected_first(best: Fit, trials: list[Fit]) -> list[Fit]:
 def close_rivals(
     trials: list[Fit], current: Fit, variance: Callable[[], LongRunVariance], criteria: SelectionCriteria
 ) -> tuple[AppliedEffect, ...]:
-    """Return the rivals of a selected effect: effects of other trial fits that may be the cause in its place.
+    """Return the rivals of a selected effect: other tried effects that may be the actual cause.
 
     Args:
         trials: Fits with one candidate effect each; the first has the selected effect.
         current: Fit without a candidate, with the same observer bandwidth (rad/s) as the trials.
         variance: Function that returns the variance that the residual of the first trial has in the direction
-            of its effect (`long_run_variance`); it is called if a rival needs it, and once.
+            of its effect (`long_run_variance`); it is called at most once, if a rival needs it.
         criteria: Decision thresholds of `judge.rival.may_be_the_cause`.
 
     Returns:
@@ -133,10 +133,11 @@ def close_rivals(
 def rivals_in_combination(
     effect: AppliedEffect, rivals: Sequence[AppliedEffect], others: Sequence[AppliedEffect], machine: Machine
 ) -> tuple[AppliedEffect, ...]:
-    """Return further possible rivals of an effect that has a companion: another selected one of its kind.
+    """Return further possible rivals of an effect that was selected together with others of its kind.
 
-    Two constant forces move a stage of two axes like two others at other components, although none of them
-    alone is like another. The search compares effects one by one, so that it does not see these rivals.
+    Two constant forces at two components move a stage of two axes like two others at other components,
+    although no single one is like another. The search compares effects one by one, so that it does not find
+    these rivals.
 
     Args:
         rivals: Its known rivals.
@@ -168,15 +169,15 @@ def rivals_in_combination(
 
 
 def hidden_rivals(effect: AppliedEffect, data: Dataset) -> tuple[AppliedEffect, ...]:
-    """Return the delay or lag of the drives that a log does not tell from another, as it lacks voltages.
+    """Return effects that a log cannot distinguish from a delay or lag, because it lacks some voltages.
 
     Args:
         effect: A selected effect.
         data: Runs that were fitted.
 
     Returns:
-        The others at the same site, of the same duration; none where all voltages are known, or of another
-        effect.
+        The other delays and lags at the same site, with the same duration. None if the effect is neither a
+        delay nor a lag, or if all voltages are known.
     """
     if not is_timing(effect.definition) or not data.has_voltage_errors:
         return ()
@@ -195,8 +196,8 @@ class ComparedRivals(NamedTuple):
     Attributes:
         better: Fit with the most likely rival in place of the effect, the last effect of its machine, at the
             observer bandwidth of the given fit or in simulation; None if no rival is more likely.
-        remaining: Rivals that are not less likely than the effect by more than chance can explain, and those
-            that were not tried.
+        remaining: Rivals that remain possible: chance explains by how much they are less likely than the
+            effect, or they were not tried.
     """
 
     better: Fit | None
@@ -213,21 +214,20 @@ def compare_rivals(
     in_combination: Sequence[AppliedEffect] = (),
     likely: Callable[[], Fit] | None = None,
 ) -> ComparedRivals:
-    """Compare an effect of the machine with its rivals by their likelihood, each fitted in its place.
+    """Compare an effect of a machine with its rivals by likelihood; each is fitted in place of the effect.
 
-    Those that the log cannot tell from it (`hidden_rivals`) remain without being fitted. Another one replaces
-    the effect, or is excluded, only if the difference in likelihood exceeds what chance may cause: `chance`
-    of the criteria, increased where the residual is correlated in time.
+    Rivals that the log cannot distinguish (`hidden_rivals`) remain without being fitted. A rival replaces the
+    effect, or is excluded, only if the difference in likelihood exceeds what chance may cause: `chance` of
+    the criteria, increased where the residual is correlated in time.
 
     Args:
         current: Fit of the machine with all effects.
         label: Label (name@site) of the effect to compare.
-        rivals: Its rivals. Those that add coordinates (structural effects) are not tried, and those that the
-            machine has beside the effect remain no rivals: both are there. None is tried for an effect that
-            adds coordinates, or that another effect requires.
+        rivals: Its rivals. Rivals that add coordinates (structural effects) are not tried. Rivals that the
+            machine contains beside the effect are dropped: both exist. None is tried for an effect that adds
+            coordinates, or that another effect requires.
         in_combination: Further rivals, from `rivals_in_combination`, whose size is not known yet.
-        likely: Function that returns `most_likely_fit` of the fit, where it is known for another effect of
-            the machine.
+        likely: Function that returns `most_likely_fit` of the fit, if it is already known.
 
     Returns:
         The most likely rival and those that remain, with parameters fitted beside all other effects.
@@ -279,13 +279,13 @@ def _sized(current: Fit, label: str, rival: AppliedEffect, data: Dataset) -> Fit
 
 
 def most_likely_fit(fitted: Fit, data: Dataset, largest_loss: float = math.inf) -> Fit:
-    """Fit with the shortest integration step, at the bandwidth and in simulation; return the more likely fit.
+    """Fit again with an observer and in simulation, both with the shortest step; return the more likely fit.
 
     The longer integration step of the search is too inaccurate to distinguish a delay of 0.1 ms from a lag.
 
     Args:
-        largest_loss: Loss, -2 log(likelihood) per measured value, dimensionless; a fit that cannot come down
-            to it ends early.
+        largest_loss: Loss, -2 log(likelihood) per measured value, dimensionless; a fit that cannot become as
+            small ends early.
     """
     narrowest = bandwidths_for(data)[-1]
     fits = [fitted]

@@ -41,9 +41,9 @@ from .unknown_voltages import cost_beside_voltages
 
 
 class TestedFit:
-    """Fit of a machine, and its fits with other observers and voltages, for the tests of several effects.
+    """Fit of a machine with variants of it (other observers, other voltages) that tests of effects need.
 
-    They are computed once, when they are needed.
+    Each variant is computed when it is first needed, and once for all effects.
 
     Attributes:
         fitted: The fit.
@@ -57,37 +57,37 @@ class TestedFit:
 
     @cached_property
     def narrower(self) -> Fit:
-        """Fit with the next narrower observer."""
+        """Fit with the observer of the next smaller bandwidth."""
         return narrower_observer(self.fitted, self.data)
 
     @cached_property
     def wide(self) -> Fit:
-        """Fit with the widest observer."""
+        """Fit with the observer of the largest bandwidth."""
         return continue_fit(self.fitted, self.data, SEARCH_BANDWIDTH)
 
     @cached_property
     def by_instruments(self) -> Fit | None:
-        """Fit by instruments, if they find one."""
+        """Fit by instrumental variables (`slow_logs.fit_by_instruments`), if it succeeds."""
         return fit_by_instruments(self.fitted, self.data)
 
     @cached_property
     def deviations(self) -> dict[str, float]:
-        """Standard deviations of the sizes of all effects, SI, by parameter (name@site.parameter)."""
+        """Standard deviations of the amplitudes of all effects, SI, by parameter (name@site.parameter)."""
         return _deviations(self.fitted, self.data)
 
     @cached_property
     def wide_deviations(self) -> dict[str, float]:
-        """The same as `deviations` with the widest observer."""
+        """The standard deviations as in `deviations`, but from the fit `wide`."""
         return _deviations(self.wide, self.data)
 
     @cached_property
     def likeliest(self) -> Fit:
-        """Fit with the most likely observer."""
+        """Fit with the observer of the most likely bandwidth."""
         return fit_with_model_error(self.fitted, self.data)
 
     @cached_property
     def cost_beside_voltages(self) -> float:
-        """Cost, dimensionless, that is left beside what unknown voltages between the rows may explain."""
+        """Cost, dimensionless, that remains after unknown voltages between the rows explain what they can."""
         return cost_beside_voltages(self.fitted, self.data)
 
 
@@ -113,7 +113,7 @@ def doubt_about_candidate(
 def doubt_beside_others(
     reduced: Fit, complete: TestedFit, effect: AppliedEffect, criteria: SelectionCriteria
 ) -> str:
-    """Return why an effect of a machine may not exist, given all others, or "" if it passes all tests.
+    """Return why an effect of a machine may not exist beside all others, or "" if it passes all tests.
 
     Args:
         reduced: Fit of the machine with all other effects.
@@ -128,11 +128,11 @@ def doubt_beside_others(
 
 
 def effect_evidence(reduced: TestedFit, tested: TestedFit, effect: AppliedEffect) -> EffectEvidence:
-    """Collect what the fitted runs say about an effect; slow numbers are computed when needed.
+    """Collect the evidence of the fitted runs for an effect; slow quantities are computed when needed.
 
     Args:
         reduced: Fit of the machine without the effect.
-        tested: Fit of the machine with it, at the same observer bandwidth.
+        tested: Fit of the machine with the effect, at the same observer bandwidth.
     """
     without, with_effect, data = reduced.fitted, tested.fitted, tested.data
     held = data.updates == 1

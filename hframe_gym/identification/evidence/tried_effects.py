@@ -16,8 +16,8 @@ class SelectedEffect:
     Attributes:
         effect: The effect with its fitted parameters.
         gain: Reduction of chi-squared per sample on the fitted runs.
-        machine_without: The machine as it was fitted without the effect: beside all other effects once they
-            were tested beside each other, else before it was added.
+        machine_without: The machine fitted without the effect: with all other effects if they have been
+            tested together, else as it was before the effect was added.
         rival_effects: Other effects, with fitted parameters, that explain the data equally well.
     """
 
@@ -28,7 +28,7 @@ class SelectedEffect:
 
     @property
     def rivals(self) -> tuple[str, ...]:
-        """Labels of the rival effects, then causes in words that no recording tells from the effect."""
+        """Labels of the rival effects, then other causes in words that no recording tells apart from it."""
         return (*(rival.label for rival in self.rival_effects), *self.effect.definition.equivalent)
 
     def with_values(self, machine: Machine, machine_without: Machine | None = None) -> SelectedEffect:
@@ -36,7 +36,7 @@ class SelectedEffect:
 
         Args:
             machine: Machine that contains the effect, usually a later fit.
-            machine_without: The machine as it was fitted without the effect. Default: as before.
+            machine_without: New value of `machine_without`. Default: unchanged.
 
         Returns:
             Copy with the updated effect.
@@ -61,8 +61,8 @@ class ConsideredEffect:
 
     Attributes:
         effect: The effect with the parameters of its trial fit.
-        machine: Machine that was fitted with it.
-        machine_without: Machine as it was fitted before.
+        machine: Machine that was fitted with the effect.
+        machine_without: Machine that was fitted without the effect.
         reason: Why it was not selected; a clause that follows "it ".
     """
 

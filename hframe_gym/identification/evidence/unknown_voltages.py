@@ -59,7 +59,9 @@ class _Part(NamedTuple):
 
 
 def cost_beside_voltages(fitted: Fit, data: Dataset) -> float:
-    """Return the cost, prior included, that a fit leaves if unknown voltages explain what they can.
+    """Return the cost that remains after unknown voltages between rows explain what they can.
+
+    The cost includes the penalty of the prior.
 
     Args:
         data: Runs that were fitted, whose voltages change between the rows.
@@ -154,12 +156,12 @@ def _responses(model: ResidualModel, run: PreparedRecording, missed: Array, star
 
 
 def missed_motion(machine: Machine, run: PreparedRecording, start: Array, period: float) -> Array | None:
-    """Return what interpolated rows miss of the mean motion from row to row.
+    """Return by how much interpolated rows deviate from the mean motion between rows.
 
-    The motion is simulated, because an observer adds its corrections to it in the rows.
+    The motion is simulated without an observer, which would add corrections in the rows.
 
     Args:
-        machine: Machine that moves.
+        machine: Machine to simulate.
         run: Run of n samples.
         start: State at the first sample, SI, shape (2 * coordinates + effect states,).
         period: Sampling period, s.

@@ -24,8 +24,8 @@ class ChannelError(NamedTuple):
 
     Attributes:
         rmse: Root mean square error, in the channel's unit (m or rad).
-        noise_ratio: The same divided by the standard deviation of the sensor's noise.
-        motion_ratio: The same divided by the rms motion, the deviation of the measurements from their mean in
+        noise_ratio: `rmse` divided by the standard deviation of the sensor's noise.
+        motion_ratio: `rmse` divided by the rms motion, the deviation of the measurements from their mean in
             each run; None also if nothing moves.
     """
 

@@ -74,21 +74,22 @@ def with_uncertainty(
       prior.
     - Delay: the change of the parameters if the inputs act later than recorded. The variance of this delay is
       (0.005 T)^2 + d^2, with the sampling period T and the delay d that the residual indicates.
-    - Deviations: their mean square, if other fits are given. It is no variance of random errors, which is why
-      tests of chance are asked without it.
+    - Deviations: the mean square of `deviations`, if given. It is no variance of random errors; tests of
+      chance therefore leave it out.
 
     The sum of the first two parts is at least the variance that white noise of the assumed size causes.
 
     Derivatives are central differences along the principal axes of the Fisher information: along single
     parameters, rounding would make viscous friction and back-EMF seem separable. A threshold
     (`FreeParameter.switch`) has no derivative. It is raised and lowered until the cost clearly rises; its
-    standard deviation is at least this change. A fit by instruments brings its covariance along.
+    standard deviation is at least this change. A fit by instrumental variables contains its covariance
+    already.
 
     Args:
         fitted: Fit of k parameters: machine, parameter values and cost.
-        indicated_delay: Whether d counts. It does not where the question is whether inputs act later than
+        indicated_delay: Whether d is included. It is not if the question is whether inputs act later than
             recorded.
-        deviations: Deviations of theta in m other fits, which should agree (`slow_logs.deviations_of_fits`),
+        deviations: Deviations of theta in m other fits that should agree (`slow_logs.deviations_of_fits`),
             shape (m, k). Default: none.
 
     Returns:
@@ -155,7 +156,7 @@ def _with_covariance(fitted: Fit, covariance: Array) -> Machine:
 
 
 def student_widening(information: Array, estimator: Array) -> Array:
-    """Return by which factor few blocks widen the 95 % interval of each parameter, shape (k,), at least 1.
+    """Return the factor, at least 1, by which a small number of blocks widens 95 % intervals, shape (k,).
 
     The degrees of freedom are the effective number of blocks that determine a parameter (Satterthwaite).
 

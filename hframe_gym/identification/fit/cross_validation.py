@@ -1,8 +1,7 @@
-"""Cross-validation: what parameters that are fitted to some of the data cost in the rest of them.
+"""Cross-validation: the cost of each run with parameters that were fitted to the other runs.
 
-The runs, or pieces of them, are left out in turn. One step of the linear model around the fit to all of them
-leads to the parameters without a piece. The cost is the sum of squared residuals in units of the sensors'
-noise.
+The runs, or pieces of them, are left out in turn. One step of the linear model around the fit to all runs
+gives the parameters without a piece. The cost is the sum of squared residuals in units of the sensors' noise.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ def equations_of_pieces(fitted: Fit, data: Dataset, pieces: int) -> list[NormalE
 def thetas_left_out(
     equations: Sequence[NormalEquations], free: Sequence[FreeParameter], theta: Array
 ) -> list[Array]:
-    """Return the parameters of a linear model that are fitted to all pieces but one, for each piece.
+    """Return, for each piece, the parameters of a linear model fitted to all other pieces.
 
     Args:
         equations: Normal equations of each piece, of k parameters; they are finite.
@@ -71,7 +70,7 @@ def thetas_left_out(
 def costs_left_out(
     equations: Sequence[NormalEquations], free: Sequence[FreeParameter], theta: Array
 ) -> list[tuple[float, float]]:
-    """Compute the costs of pieces of a linear model with parameters that are fitted to all other pieces.
+    """Compute, for each piece, the cost of a linear model whose parameters were fitted to all other pieces.
 
     Args:
         equations: Normal equations of each piece, of k parameters.
@@ -79,7 +78,8 @@ def costs_left_out(
         theta: Parameters at which the model is linearized, dimensionless, shape (k,).
 
     Returns:
-        For each piece, its cost and that of all others, dimensionless; infinite if a piece is not finite.
+        For each piece, the cost of the piece and that of all other pieces, dimensionless; infinite if a piece
+        is not finite.
     """
     total = NormalEquations.total(equations)
     if not total.finite:  # the machine diverges
@@ -97,14 +97,14 @@ def costs_of_some_left_out(
     free: Sequence[FreeParameter],
     theta: Array,
 ) -> list[float]:
-    """Compute the costs of pieces of a linear model with some parameters fitted to all other pieces.
+    """Compute, for each piece, the cost with the tested parameters fitted to all other pieces.
 
-    The other parameters are fitted to all pieces beside these values. A piece may alone determine one of
-    them, such as a current that no other piece reaches: without it, this parameter would make any error.
+    The other parameters are then fitted to all pieces. Otherwise a parameter that a single piece determines,
+    such as a current that no other piece reaches, could cause any error.
 
     Args:
         equations: Normal equations of each piece, of k parameters.
-        tested: True for the parameters of which the other pieces determine the values, shape (k,).
+        tested: True for the tested parameters, shape (k,).
         free: The parameters, with their limits and priors.
         theta: Fitted parameters, at which the model is linearized, dimensionless, shape (k,).
 
@@ -126,7 +126,7 @@ def costs_of_some_left_out(
 
 
 def cross_validated_cost(fitted: Fit, data: Dataset) -> float:
-    """Return the cost, dimensionless, of all runs, each third with parameters that a step fits to others."""
+    """Return the cost, dimensionless, of all runs; each third has parameters fitted to the other thirds."""
     model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, fitted.longest_step)
     by_run = model.linearize(fitted.theta).by_run
     names, folds = [run.name for run in data.runs], min(_FOLDS, len(data.runs))
@@ -146,9 +146,9 @@ def cross_validated_cost(fitted: Fit, data: Dataset) -> float:
 
 
 def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
-    """Return by how much an effect with values from other runs reduces each run's error (leave one out).
+    """Return by how much an effect, fitted to all other runs, reduces the error of each run (leave one out).
 
-    All other parameters are fitted to all runs, without the effect and beside these values of it
+    Only the effect's parameters are fitted without the run; all other parameters are fitted to all runs
     (`costs_of_some_left_out`). The runs are divided as in `pieces_left_out`.
 
     Args:
@@ -167,26 +167,25 @@ def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
 def refitted_leave_one_out_gain(
     without: Fit, with_effect: Fit, data: Dataset, least: float = -math.inf
 ) -> float:
-    """Return what `leave_one_out_gain` does, with parameters that are fitted again for each piece.
+    """Return the gain of `leave_one_out_gain` with a complete fit for each piece instead of a linear step.
 
-    The step of the linear model is too long where a single run determines a combination of parameters:
-    without this run, they leave the range in which the model is linear. All pieces are left out once more,
-    because a choice of those that speak against the effect would confirm what chance explains.
+    The linear step is too long where a single run determines a combination of parameters: without this run,
+    they leave the range in which the model is linear. All pieces are left out, not only those that speak
+    against the effect, because such a choice would favor it by chance.
 
-    A piece that is left out costs no less than one that is fitted, because the fit to all pieces would
-    otherwise have its parameters. The pieces that speak most against the effect by the linear model are
-    therefore left out first, and the others not at all once they could not confirm it even at the cost that
-    they have in the fit.
+    The cost of a piece that is left out is at least its cost in the fit to all pieces. To save time, the
+    pieces that speak most against the effect by the linear model are therefore left out first, and the
+    computation ends as soon as the others could not confirm the effect even at that cost.
 
     Args:
         without: Fit without the effect.
         with_effect: Fit with the effect, at the same observer bandwidth (of the feedback of measurements).
-        least: Reduction, dimensionless, that confirms the effect. Default: the reduction is asked for,
-            whatever it is.
+        least: Reduction, dimensionless, that confirms the effect. Default: the exact reduction is computed in
+            any case.
 
     Returns:
-        Reduction of the cost, dimensionless, summed over all runs, or an upper limit of it that is less than
-        `least`.
+        Reduction of the cost, dimensionless, summed over all runs. If it is less than `least`, only an upper
+        limit that is less than `least`.
     """
     tested, pieces = _of_effect(without, with_effect), _pieces_to_confirm(with_effect, data)
     equations = equations_of_pieces(with_effect, data, pieces)
@@ -237,11 +236,11 @@ def _pieces_to_confirm(with_effect: Fit, data: Dataset) -> int:
 
 
 def pieces_left_out(runs: int, *, table: bool) -> int:
-    """Return into how many pieces each run is divided, of which one is left out in turn to confirm an effect.
+    """Return the number of pieces into which each run is divided to leave one piece out at a time.
 
-    Runs are left out whole. Of fewer than four runs, pieces (at least eight in all) are left out instead: too
-    few other runs might not determine the parameters. Of a machine with a table, halves of runs are: some of
-    its values may depend on a single run.
+    It is usually 1: complete runs are left out. With fewer than four runs, it gives at least eight pieces in
+    all, since too few other runs might not determine the parameters. For a machine with a table it is 2,
+    because some of the table's values may depend on a single run.
 
     Args:
         runs: Number of runs.
@@ -271,10 +270,10 @@ def contradicting_run(fitted: Fit, data: Dataset) -> str | None:
 
 
 def ratios_to_others(costs: Sequence[tuple[float, float]], counts: Sequence[float]) -> list[float]:
-    """Return the cost per value of each run over that of all others, so that runs may have different lengths.
+    """Return the cost per measured value of each run, divided by that of all other runs.
 
     Args:
-        costs: Cost of each run and of all others, dimensionless, with parameters that are fitted to the
+        costs: For each run, its cost and that of all other runs, dimensionless, with parameters fitted to the
             others.
         counts: Effective number of measured values of each run.
     """

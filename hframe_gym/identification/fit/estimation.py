@@ -64,12 +64,11 @@ class Fit:
         longest_step: Maximum integration step of the fitted predictions, s.
         floor: Chi-squared per sample of an exact machine with this observer, dimensionless
             (`innovation_variance`).
-        observers: Observers of the runs in the fit, by their name, if each run had another one; otherwise
-            empty.
-        covariance: Covariance of theta, shape (k, k), of a fit by instruments (`slow_logs`); None: of least
-            squares.
-        change_by_delay: Change of theta by the delay of the inputs that the residual of a fit by instruments
-            indicates, shape (k,); None: of least squares.
+        observers: Observers by name of the run, if each run had another one; otherwise empty.
+        covariance: Covariance of theta, shape (k, k), of a fit by instrumental variables (`slow_logs`); None
+            for least squares.
+        change_by_delay: Change of theta due to the delay of the inputs that a fit by instrumental variables
+            indicates, shape (k,); None for least squares.
     """
 
     machine: Machine
@@ -92,7 +91,7 @@ class Fit:
 
     @property
     def error(self) -> FitError:
-        """What the fit leaves of the error, for decisions."""
+        """The error of the fit, in the form that decisions use."""
         widest = self.bandwidth >= SEARCH_BANDWIDTH
         return FitError(self.cost, self.count, self.bandwidth, widest, self.floor)
 
@@ -115,8 +114,8 @@ class Fit:
 def describe_gain(before: Fit, after: Fit) -> str:
     """Describe the benefit of an effect: "reduces chi-squared per sample from 98.99 to 0.79 (simulation)".
 
-    A fit with the effect may end in a worse minimum: "does not reduce chi-squared per sample (500.5, with it
-    533.5)".
+    If the fit with the effect ended in a worse minimum, the text says "does not reduce chi-squared per sample
+    (500.5, with it 533.5)".
 
     Args:
         before: Fit without the effect; the text states its observer bandwidth, rad/s, or "simulation" if that
@@ -163,12 +162,12 @@ def fit(
         tolerance: Decrease of cost plus penalty per iteration, relative to their sum, below which the search
             ends.
         longest_step: Maximum integration step, s.
-        goal: Cost, dimensionless, above which the fit is of no use. The search ends where it cannot come down
-            to it: neither if each remaining iteration decreased the cost as much as the last one, nor if the
-            step without damping decreased it as the linear model promised. Default: every fit is of use.
+        goal: Cost, dimensionless, above which the fit is useless. The search ends early if two predictions
+            exceed it: the cost after the remaining iterations, each with the decrease of the last one, and
+            the cost that the linear model promises for a step without damping. Default: no early end.
 
     Returns:
-        Fit where the search ended; its cost is that without the penalty, infinite if the machine diverges.
+        Fit with the final parameters; its cost is without the penalty, and infinite if the machine diverges.
     """
     theta = np.zeros(len(free)) if theta is None else np.array(theta, float)
     steps: tuple[float | None, ...] = (None, DIFFERENCE_STEP) if any(f.switch for f in free) else (None,)
@@ -264,7 +263,7 @@ def _best_trial(trials: Array, costs: Array, theta: Array, cost: float) -> tuple
 
 
 def with_changed_switch(parameter: FreeParameter, j: int, theta: Array, changes: Array) -> Array:
-    """Change a parameter whose derivatives do not lead to the minimum, so that costs can be compared.
+    """Return variants of theta in which a parameter without useful derivatives is changed up and down.
 
     Args:
         parameter: The parameter, such as a threshold (`FreeParameter.switch`).

@@ -21,7 +21,7 @@ _NOISE_S = 0.05  # s; longer than the correlation of a sensor's noise
 
 
 def long_run_variance(fitted: Fit, label: str, data: Dataset) -> LongRunVariance:
-    """Return the factor by which a residual correlated in time raises the gain that chance gives.
+    """Return by which factor chance gains more than with white noise, because the residual is correlated.
 
     The gain is the reduction of the cost (sum of squared residuals in units of the noise). The factor is the
     ratio of the residual's long-run variance to the variance of white noise, in the direction in which the
@@ -50,14 +50,14 @@ def long_run_variance(fitted: Fit, label: str, data: Dataset) -> LongRunVariance
 def variance_along(
     runs: Sequence[RunLinearization], of_effect: NDArray[np.bool_], precision: Array, short: int, long: int
 ) -> LongRunVariance:
-    """Return the long-run variance of a residual along an effect's change, over that of white noise.
+    """Return a residual's long-run variance in the direction of an effect's change / that of white noise.
 
     Args:
         runs: Linearized residual of each run, with respect to k parameters.
         of_effect: True for the parameters of the effect, shape (k,).
         precision: Precision of the prior of the parameters, dimensionless, shape (k, k).
-        short: Values of a block that is longer than the correlation of a sensor's noise.
-        long: Values of a block that counts as independent.
+        short: Number of values in a block that is longer than the correlation of a sensor's noise.
+        long: Number of values in a block that counts as independent.
 
     Returns:
         Factor, dimensionless, with the numbers of parameters and of long blocks, as `long_run_variance`

@@ -67,7 +67,7 @@ class LostVoltages(NamedTuple):
 
 
 def with_lost_voltages(machine: Machine, data: Dataset, held_out: Dataset, log: LineLog) -> LostVoltages:
-    """Estimate the voltages in rows that the logger dropped, with the machine refitted to the fitted runs.
+    """Estimate the voltages in rows that the logger dropped, with a machine fitted to the fitted runs.
 
     Args:
         machine: Machine as declared.
@@ -94,7 +94,7 @@ def with_lost_voltages(machine: Machine, data: Dataset, held_out: Dataset, log: 
 
 
 def held_over_gaps(data: Dataset) -> Dataset:
-    """Copy a data set, with commands that keep their last recorded values in dropped rows."""
+    """Copy a data set so that commands keep their last recorded values in dropped rows."""
     return dataclasses.replace(data, runs=tuple(_bridged(run, held=True) for run in data.runs))
 
 

@@ -36,23 +36,22 @@ _SEARCH_STEP_NARROW = 0.25e-3  # s; with a narrow observer, the errors of longer
 
 
 def search_step(bandwidth: float, data: Dataset) -> float:
-    """Return the integration step that suffices in the search for effects.
+    """Return the maximum integration step, s, that is accurate enough in the search for effects.
 
     Args:
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a
             simulation.
 
     Returns:
-        Maximum integration step, s: 0.5 ms at 60 rad/s; 0.25 ms below, where integration errors accumulate.
-        With an observer, 0.5 ms also where voltages are interpolated, whose errors are so much larger that
-        chi-squared per sample changes by 0.0002.
+        0.5 ms at 60 rad/s; 0.25 ms below, where integration errors accumulate. With an observer, 0.5 ms also
+        for interpolated voltages, because their errors are much larger than those of the integration.
     """
     uncertain = data.has_voltage_errors and bandwidth >= NARROWEST_WITH_VOLTAGE_ERRORS
     return SEARCH_STEP if uncertain or bandwidth >= SEARCH_BANDWIDTH else _SEARCH_STEP_NARROW
 
 
 def bandwidths_for(data: Dataset) -> tuple[float, ...]:
-    """Return the bandwidths of the observers that suit a data set, rad/s, descending.
+    """Return the bandwidths of observers that suit a data set, rad/s, descending; 0 is a simulation.
 
     Args:
         data: Runs to fit. Errors of interpolated voltages add up in a simulation; they need an observer.
@@ -63,7 +62,7 @@ def bandwidths_for(data: Dataset) -> tuple[float, ...]:
 
 
 def has_narrowest_observer(fitted: Fit, data: Dataset) -> bool:
-    """Return whether no narrower observer suits the data of a fit.
+    """Return whether a fit already has the smallest observer bandwidth that suits the data.
 
     Args:
         fitted: Fit at one of the bandwidths of `bandwidths_for`.
@@ -94,7 +93,7 @@ def likelihood_loss(fitted: Fit, data: Dataset) -> float:
 
 
 def cost_of_loss(loss: float, machine: Machine, data: Dataset, bandwidth: float) -> float:
-    """Return the cost of a fit that has a loss.
+    """Convert a likelihood loss to the cost that a fit with this loss has.
 
     Args:
         loss: Loss (`likelihood_loss`), dimensionless.
@@ -225,7 +224,7 @@ def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
 
 
 def continue_fit(fitted: Fit, data: Dataset, bandwidth: float, *, goal: float = math.inf) -> Fit:
-    """Fit a machine again from an earlier fit's parameters, to other data or at another observer bandwidth.
+    """Continue a fit from its parameters, with other data or at another observer bandwidth.
 
     Args:
         fitted: Earlier fit; its parameters are the starting values.

@@ -113,15 +113,15 @@ class PlainFit:
     """Result of a plain fit.
 
     Attributes:
-        start: The machine with the inertia and friction of the inverse dynamics, without further terms; those
-            of the output-error fit where there are none, with a drive that follows a set point or without a
-            sensor that shows a direction.
+        start: The machine with the inertia and friction of the inverse dynamics, without further terms. If
+            there is no inverse dynamics (a drive that follows a set point, or no sensor that shows a
+            direction), those of the output-error fit.
         fits: Output-error fits with different terms beside inertia and friction: a constant force, a weight
             or an input delay, as effects of their machines. The last one has all terms that the runs show,
             the others fewer.
-        uncertain: Fits with all these and further terms, which remove no more of the error of the fitted runs
-            than chance may. Other runs may confirm them.
-        seconds: Processor time after which it ended before it was complete, s; None if it is complete.
+        uncertain: Fits with further terms, whose reduction of the error on the fitted runs may be chance.
+            Other runs may confirm them.
+        seconds: Processor time after which the fit ended incomplete, s; None if it is complete.
     """
 
     start: Machine
@@ -131,17 +131,17 @@ class PlainFit:
 
     @property
     def simulated(self) -> Fit:
-        """The fit with all terms that the runs show."""
+        """The output-error fit with all terms that the runs determine."""
         return self.fits[-1]
 
     @property
     def simpler(self) -> tuple[PlainFit, ...]:
-        """The plain fits with fewer of the terms, without any first."""
+        """Plain fits with fewer terms, from none upward."""
         return tuple(PlainFit(self.start, (fit,), seconds=self.seconds) for fit in self.fits[:-1])
 
     @property
     def extended(self) -> tuple[PlainFit, ...]:
-        """The plain fits with uncertain terms, with the fewest first."""
+        """Plain fits with uncertain terms in addition, the fewest first."""
         return tuple(PlainFit(self.start, (fit,), seconds=self.seconds) for fit in self.uncertain)
 
     @property
@@ -151,7 +151,7 @@ class PlainFit:
 
     @property
     def terms(self) -> tuple[str, ...]:
-        """Labels of the terms that it has beside inertia and friction."""
+        """Labels of the fitted terms beside inertia and friction, such as a constant force."""
         declared = {e.label for e in self.start.effects}
         return tuple(e.label for e in self.machine.effects if e.label not in declared)
 
@@ -163,8 +163,8 @@ def plain_fit(machine: Machine, data: Dataset, budget: Budget | None = None) -> 
 
     Args:
         machine: Machine as declared.
-        budget: Budget of the identification. After the part of it for the plain fit, the fit ends with its
-            best parameters so far. Default: it is completed.
+        budget: Budget of the identification; the fit ends with its best parameters after its part of the
+            budget. Default: no limit.
 
     Returns:
         The fit; None if the runs determine no motion, or no machine of this kind can be simulated over them.
@@ -388,10 +388,10 @@ def refined_equally(fitted: Fit, data: Dataset) -> Fit:
 
 
 def wide_parameters(machine: Machine) -> tuple[FreeParameter, ...]:
-    """Return the parameters that identification refits, with priors so wide that data alone determine them.
+    """Return the free parameters with priors so wide that data alone determine them.
 
-    Phases of declared effects are among them also if they are zero: that is an angle like any other, for
-    example that at which an arm is believed to hang, and not an effect that is absent.
+    Phases of declared effects are included even if they are zero: a phase is an angle like any other, for
+    example that at which an arm hangs, and its value 0 does not mean that the effect is absent.
 
     Args:
         machine: Machine with the starting values.
@@ -477,11 +477,11 @@ def starting_values(machine: Machine, data: Dataset) -> list[tuple[Machine, tupl
         machine: Machine as declared.
 
     Returns:
-        Machines with these values in place of the declared ones, and for each the constant forces of its
-        balance; none if the runs determine no motion. A declared weight has its declared size in one, and
-        that of the balance in another: small angles hardly determine it beside a constant force. The machine
-        as declared where the balance shows neither inertia nor viscous friction, as where each run has a
-        constant speed: a simulation, which begins at rest, shows both.
+        Machines with these values, each with the constant forces of its balance; none if the runs determine
+        no motion. With a declared weight there are two variants: with the declared size and with that of the
+        balance, since small angles hardly distinguish it from a constant force. If the balance determines
+        neither inertia nor viscous friction (constant speed in each run), the declared machine, since a
+        simulation from rest determines both.
     """
     R = leading_motions(machine)
     measured, runs = _with_positions(machine, data.runs)
@@ -616,12 +616,13 @@ def _ratios(shares: Array, ratios: Array) -> Array:
 
 
 def better_start(machine: Machine, data: Dataset, plain: PlainFit | None) -> Machine:
-    """Return the machine from which a refit starts: as declared, or with the values of the plain fit.
+    """Choose the machine from which a refit starts: as declared, or with the values of the plain fit.
 
-    A refit keeps each parameter within a range around the start. The plain values are used if one of them
-    lies outside the range around the declared values, the refit from the declared values ends at a limit, and
-    the refit from the plain ones predicts or simulates the runs clearly better. Without a sensor that shows a
-    direction, the refit may end at another minimum instead, so that the last condition alone decides.
+    A refit keeps each parameter within a range around the start. The plain values are used if three
+    conditions hold: one of them lies outside the range around the declared values, the refit from the
+    declared values ends at a limit, and the refit from the plain values predicts or simulates the runs
+    clearly better. Without a sensor that shows a direction, only the last condition counts, because a refit
+    may end at another minimum.
 
     Args:
         machine: Machine as declared.
@@ -647,15 +648,15 @@ def better_start(machine: Machine, data: Dataset, plain: PlainFit | None) -> Mac
 
 
 def outside_limits(declared: Machine, machine: Machine) -> tuple[str, ...]:
-    """Return the parameters with values outside the range that a refit from the declared values may reach.
+    """Return the names of parameters that a refit from the declared values could not reach.
 
     Args:
         declared: Machine as declared.
         machine: Machine with other values.
 
     Returns:
-        Full names of the parameters; friction that is smaller than the range permits does not count, because
-        it is small in any case.
+        Full names of the parameters whose values lie outside the permitted range. Friction below its range
+        does not count, because it is small in any case.
     """
     names = []
     for parameter in default_free_parameters(declared):

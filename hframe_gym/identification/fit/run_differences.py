@@ -42,7 +42,7 @@ _STEP = 1e-6  # of finite differences between optimizer variables, which need no
 
 @dataclass(frozen=True)
 class Quantity:
-    """Something that may differ between runs.
+    """A physical quantity that may differ between runs, such as a payload.
 
     Attributes:
         name: Name of the quantity, for messages.
@@ -76,7 +76,7 @@ class Quantity:
         return changed
 
     def describe(self, amount: float) -> str:
-        """Describe by how much the quantity differs between two runs.
+        """Format the difference of the quantity between two runs.
 
         Args:
             amount: Amount of one run minus that of the other, dimensionless.
@@ -99,8 +99,8 @@ class RunDifferences(NamedTuple):
             of the runs' times.
         chi2_before: Chi-squared per sample with one machine for all runs.
         chi2: The same with the differences.
-        shared: Smallest amount, dimensionless: by how much every run departs from the fit that the amounts
-            start from.
+        shared: Smallest amount, dimensionless: a difference from the fitted machine that all runs have in
+            common.
         explains: Whether the machine with these values explains the runs; otherwise something else is missing
             as well.
     """
@@ -114,17 +114,17 @@ class RunDifferences(NamedTuple):
 
     @property
     def differs(self) -> bool:
-        """Whether the runs differ; otherwise amounts are equal, and all runs need the same other value."""
+        """Whether the quantity differs between the runs; otherwise all runs need the same other value."""
         return judge.amounts_differ(list(self.amounts.values()), self.shared)
 
     @property
     def drifts(self) -> bool:
-        """Whether the amounts only rise or only fall in the order of the runs, as in a slow change."""
+        """Whether the amounts rise, or fall, steadily from run to run, as in a slow change."""
         return judge.amounts_drift(list(self.amounts.values()))
 
     @property
     def different_run(self) -> str | None:
-        """Name of the only run whose amount differs from the others'; None if several do."""
+        """Name of the run, if only one differs from all others; else None."""
         return judge.different_run(self.amounts)
 
     def __str__(self) -> str:
@@ -170,10 +170,7 @@ class RunDifferences(NamedTuple):
 
 
 def find_run_differences(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> RunDifferences | None:
-    """Find the quantity that explains all runs together if it has a separate value in each of them.
-
-    Each free parameter is tried alone, then quantities that change several parameters: the voltage of all
-    drives, a payload, the friction of all coordinates and the stiffness of all belts.
+    """Find the quantity, such as a payload, whose separate value in each run explains all runs.
 
     Args:
         fitted: Machine from whose parameters the fits start, fitted to all runs or to those that agree.
@@ -181,8 +178,8 @@ def find_run_differences(fitted: Fit, data: Dataset, criteria: SelectionCriteria
         criteria: Decision thresholds for what explains the data.
 
     Returns:
-        The quantity with the smallest remaining error, if it explains the data and differs between the runs.
-        None if there is no such quantity, if one machine explains all runs, for fewer than three runs, or if
+        The quantity with the smallest remaining error that explains the data and differs between the runs.
+        None if there is no such quantity, one machine explains all runs, there are fewer than three runs, or
         the machine diverges.
     """
     found = [each for each in _compared(fitted, data, criteria) if each.explains and each.differs]
@@ -190,11 +187,11 @@ def find_run_differences(fitted: Fit, data: Dataset, criteria: SelectionCriteria
 
 
 class RunDifferencesInWords(NamedTuple):
-    """What a quantity with another value in single runs, or in all of them, says about the runs.
+    """Hint for the user about a quantity that has another value in some runs, or in all.
 
     Attributes:
         sentences: One sentence; none if there is no such quantity.
-        explain: Whether one machine explains all runs with it, so that their error depends on nothing else.
+        explain: Whether the machine explains all runs with these values, so that nothing else is missing.
     """
 
     sentences: tuple[str, ...] = ()
@@ -204,7 +201,7 @@ class RunDifferencesInWords(NamedTuple):
 def describe_run_differences(
     fitted: Fit, data: Dataset, criteria: SelectionCriteria
 ) -> RunDifferencesInWords:
-    """Describe the quantity that explains all runs by values of their own, or by one beyond its limits.
+    """Describe, as a hint for the user, a quantity with another value in some or all runs.
 
     Args:
         fitted: Machine from whose parameters the fits start, fitted to all runs or to those that agree.
@@ -212,10 +209,9 @@ def describe_run_differences(
         criteria: Decision thresholds for what explains the data.
 
     Returns:
-        A sentence about a quantity that differs between the runs; if there is none, about a quantity that
-        needs the same other value in all runs. If no quantity explains the runs, one about the run that alone
-        needs another value of a quantity, provided that this explains nearly all of the error; otherwise
-        nothing.
+        One sentence, about the first of these that exists: a quantity that differs between the runs; a
+        quantity with the same other value, beyond its limits, in all runs; a quantity that a single run needs
+        at another value, if this explains nearly all of the error. Otherwise nothing.
     """
     found = _compared(fitted, data, criteria)
     explaining = [each for each in found if each.explains]
@@ -228,7 +224,9 @@ def describe_run_differences(
 
 
 def best_by_run(fitted: Fit, data: Dataset) -> RunDifferences | None:
-    """Return the quantity of which a value in each run leaves least, whether it explains the runs or not.
+    """Return the quantity whose separate value in each run leaves the smallest error.
+
+    It need not explain the runs completely.
 
     Args:
         fitted: Machine from whose parameters the fits start.

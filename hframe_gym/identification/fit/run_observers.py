@@ -42,10 +42,10 @@ def fit_run_by_run(fitted: Fit, data: Dataset) -> Fit:
         fitted: Final fit at any observer bandwidth.
 
     Returns:
-        Fit of the same parameters. Its `observers` are those of the runs; its cost is that at the bandwidth
-        of `fitted`. `fitted` itself if no other observers are more likely, if the new machine simulates the
-        runs much worse (mean square errors that are, in the geometric mean over the runs, doubled), or if the
-        time of a stage that must deliver is used up.
+        Fit of the same parameters, with the runs' observers in `observers` and the cost at the bandwidth of
+        `fitted`. `fitted` itself if no other observers are more likely, if the new machine simulates the runs
+        much worse (mean square errors that are, in the geometric mean over the runs, doubled), or if the time
+        of a stage that must deliver is used up.
     """
     best, chosen = fitted, dict.fromkeys((run.name for run in data.runs), RunObserver(fitted.bandwidth))
     least = _loss(fitted, data, chosen)

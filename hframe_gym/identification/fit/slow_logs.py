@@ -10,7 +10,7 @@ interpolated voltages then err by some 20 mV, and least squares fail in three wa
   computed from smoothed voltages and measurements, which follow the motion as well and hardly contain single
   rounding errors.
 - The errors of the voltages push the machine about, so that the residual is correlated in time and between
-  sensors. An autoregression makes it white, residual and derivatives alike.
+  sensors. An autoregressive filter of residual and derivatives makes it white.
 - Where a voltage jumps between two rows, interpolation fails. Rows that it affects are left out.
 
 Both rows and autoregression follow from the residual, and are found anew after each step of the parameters.
@@ -178,12 +178,12 @@ class _Estimate(NamedTuple):
 
 
 class ExcessDelay(NamedTuple):
-    """By how much later the voltages act than their assumed changes between the rows say.
+    """Additional delay of the voltages beyond that of the assumed number of changes between two rows.
 
     Attributes:
-        periods: Delay, sampling periods; negative if they act earlier.
-        deviation: Its standard deviation, sampling periods.
-        theta: Parameters at which it was estimated, shape (k,).
+        periods: Delay, sampling periods; negative if the voltages act earlier.
+        deviation: Standard deviation of the delay, sampling periods.
+        theta: Parameters of the machine, estimated together with the delay, shape (k,).
     """
 
     periods: float
@@ -259,13 +259,14 @@ def _differences(model: ResidualModel, theta: Array, directions: Array) -> list[
 
 
 def fit_slow_log(fitted: Fit, data: Dataset) -> Fit:
-    """Fit a machine again by instruments, if the voltages of its runs are interpolated between the rows.
+    """Refine a fit to a slow log, whose voltages are interpolated between rows, by instrumental variables.
 
-    Instruments are derivatives of the predictions that do not contain the controller's answer to the rounding
-    errors of the rows, to which least squares adapt. The cost is the part of the residual that instruments
-    can represent, plus the prior (two-stage least squares); the residual is that of predictions with the
-    observer of the search, made white by an autoregression. The parameters are those of `fitted`, of this
-    fit, or between both, whichever simulate left-out runs best.
+    Least squares adapt to the controller's answers to rounding errors of the rows. Instruments are
+    derivatives of the predictions, computed from smoothed signals, that do not contain these answers. The
+    cost is the part of the residual that instruments can represent, plus the prior (two-stage least squares).
+    The predictions have the observer of the search, and an autoregressive filter makes their residual white.
+    Of the parameters of `fitted`, of this fit and between both, those are returned that simulate left-out
+    runs best.
 
     Args:
         fitted: Final fit of a machine.
@@ -284,15 +285,17 @@ def fit_slow_log(fitted: Fit, data: Dataset) -> Fit:
 
 
 def fit_by_instruments(fitted: Fit, data: Dataset) -> Fit | None:
-    """Fit a machine by instruments.
+    """Fit a machine by instrumental variables (see `fit_slow_log`), without a comparison with `fitted`.
+
+    Instruments are computed from smoothed signals; the errors of interpolated voltages hardly change them.
 
     Args:
-        fitted: Fit of a machine by least squares.
+        fitted: Fit by least squares, from which the estimation starts.
         data: Runs that were fitted.
 
     Returns:
-        Fit with the covariance of the instruments; None if the voltages are held, the rows are too few, or
-        the steps do not converge.
+        Fit with the covariance of its parameters; None if the voltages are held, the rows are too few, or the
+        steps do not converge.
     """
     if not data.has_voltage_errors or not _are_enough(data):
         return None
@@ -328,18 +331,19 @@ def _between(by_squares: Fit, by_instruments: _Estimate, weight: float) -> _Esti
 
 
 def deviations_of_fits(fitted: Fit, data: Dataset) -> Array:
-    """Return by how much theta deviates from the fit that is delivered in fits that weigh errors otherwise.
+    """Return the deviations of theta in other fits that should agree, which weigh fast errors differently.
 
-    The fits are least squares with the widest and with the narrowest observer that is used in such a log, and
-    instruments. All agree by chance if the voltages between the rows err as their statistics say.
+    These are least-squares fits with the largest and the smallest observer bandwidth for such a log, and a
+    fit by instrumental variables. They differ from the delivered fit only by chance if the voltages between
+    the rows have the assumed errors.
 
     Args:
-        fitted: Fit of k parameters that is delivered.
+        fitted: Delivered fit of k parameters.
         data: Runs that were fitted.
 
     Returns:
-        Deviations of the fits, shape (m, k); of none, shape (0, k), if the voltages are held, nothing was
-        fitted (the declared machine is delivered) or no time is left.
+        Deviations of m fits, shape (m, k). There are no fits if the voltages are held, nothing was fitted
+        (the declared machine is delivered) or no time is left.
     """
     deviations = list[Array]()
     if data.has_voltage_errors and fitted.free:
@@ -353,10 +357,11 @@ def deviations_of_fits(fitted: Fit, data: Dataset) -> Array:
 
 
 def excess_delay(fitted: Fit, data: Dataset, start: ExcessDelay | None = None) -> ExcessDelay | None:
-    """Estimate by instruments how much later the voltages act than the assumed number of their changes says.
+    """Estimate the delay of the voltages beyond that of the assumed number of their changes per row.
 
     Voltages that change n times a row and are held between the changes act later than continuous ones by 1 /
-    (2 n) sampling periods. The delay is estimated together with the parameters.
+    (2 n) sampling periods. The delay is estimated together with the parameters, by instrumental variables. A
+    delay of zero confirms the assumed number.
 
     Args:
         fitted: Fit of a machine to these runs.

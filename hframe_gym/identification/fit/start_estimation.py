@@ -83,11 +83,11 @@ def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: 
 
 
 def start_for_observer(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
-    """Return the state from which the prediction by an observer (60 rad/s) needs the smaller corrections.
+    """Return the start from which a prediction with an observer (60 rad/s) needs smaller corrections.
 
-    It is the measured one, or displaced by what the prediction itself makes most probable, to first order.
-    The most probable start of a simulation would take much longer, and is a worse one where the machine lacks
-    much: the simulation drifts.
+    It is the measured state, or a state displaced by what the prediction makes most probable, to first order.
+    The most probable start of a simulation would take much longer, and is worse for a machine that lacks
+    much, because its simulation drifts.
 
     Args:
         run: Run to predict, n samples.
@@ -115,14 +115,7 @@ def start_for_observer(machine: Machine, run: PreparedRecording, data: Dataset) 
 
 
 def refine_dataset(data: Dataset, machine: Machine, reference: Dataset | None = None) -> Dataset:
-    """Copy a data set, with corrections of values estimated from the recordings without a fitted machine.
-
-    - Zeros of encoders (measurements at position 0): forces that stretch the belts at rest falsify their
-      estimate.
-    - Voltages in rows that the logger dropped, which were interpolated: see `estimate_lost_voltages`.
-    - Initial states, if they were estimated (`refine_starts`) with another machine.
-    - Initial states of effects that remember motion before the recording, such as hysteresis. They must be
-      close to the true ones, because a fit linearizes the influence of their uncertainty.
+    """Copy a data set, with values that were estimated before the fit replaced by estimates with a machine.
 
     Args:
         machine: Fitted machine with its effects.
@@ -148,9 +141,9 @@ def refine_dataset(data: Dataset, machine: Machine, reference: Dataset | None = 
 
 
 def refine_starts(data: Dataset, machine: Machine) -> Dataset:
-    """Copy a data set, with the initial states from which a fitted machine most probably started.
+    """Copy a data set, with the most probable initial states of the runs for a fitted machine.
 
-    A fit linearizes the influence of an uncertain start. That is inaccurate where the start is far from the
+    A fit linearizes the influence of an uncertain start. This is inaccurate if the start is far from the
     assumed one, because friction determines whether a belt's stretch is released or held.
 
     Args:
@@ -172,9 +165,10 @@ def refine_starts(data: Dataset, machine: Machine) -> Dataset:
 
 
 def with_probable_starts(current: Fit, data: Dataset, criteria: SelectionCriteria) -> tuple[Fit, Dataset]:
-    """Estimate from where the runs started, if that reduces the error by as much as an effect must.
+    """Replace the assumed starts of the runs by the most probable ones, if that reduces the error clearly.
 
-    If the assumed starts are wrong, what they leave of the error looks like a missing effect.
+    The error must fall by as much as an effect must reduce it. Errors of the assumed starts look like a
+    missing effect.
 
     Args:
         current: Fit of a machine.

@@ -63,7 +63,7 @@ MeasuredExcess = Callable[[int, ExcessDelay | None], ExcessDelay | None]
 
 
 class VoltageUpdates(NamedTuple):
-    """How often the voltages change from one row to the next.
+    """Number of voltage changes from one row of a log to the next, with the errors that led to it.
 
     Attributes:
         per_row: Number of changes; 1 if the voltages are held.
@@ -76,10 +76,10 @@ class VoltageUpdates(NamedTuple):
     fitted: float
 
     def describe(self, commands: str, period: float) -> str:
-        """Describe voltages that change between rows, for the user: a sentence without a point.
+        """Describe the voltage changes between rows in a sentence for the user, without a full stop.
 
         Args:
-            commands: What they are, as `Machine.commands_in_words` says.
+            commands: Name of the inputs, such as "voltages" (`Machine.commands_in_words`).
             period: Sampling period of the log, s.
         """
         return (
@@ -90,7 +90,9 @@ class VoltageUpdates(NamedTuple):
 
 
 def describe_interpolation(machine: Machine, data: Dataset) -> str:
-    """Say for the user how good interpolated voltages are, and what gives better ones, without a full stop.
+    """Describe for the user how accurate interpolated voltages are, and how to get better ones.
+
+    The text has no full stop.
 
     Args:
         machine: Machine, refitted to these runs.
@@ -105,14 +107,16 @@ def describe_interpolation(machine: Machine, data: Dataset) -> str:
 
 
 def other_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> VoltageUpdates | None:
-    """Check how often the voltages change per row; an effect that was missing had a larger error.
+    """Check, after effects were found, whether the voltages change more or less often per row than assumed.
+
+    The effects that the first count lacked caused an error that may have falsified it.
 
     Args:
         fitted: Fit of a machine with effects to the runs.
 
     Returns:
-        The number of changes if it is clearly another one than the predictions assume, else None. An earlier
-        search that rejected that number holds unless it knew fewer effects, without which the count is wrong.
+        The number of changes if it clearly differs from the assumed one, else None. Also None if an earlier
+        search rejected this number with at least as many effects.
     """
     count = _counted_again if data.has_voltage_errors else voltage_updates
     updates = count(fitted, data, criteria)
@@ -199,18 +203,18 @@ def _with_fewest_changes(delayed: Fit, data: Dataset, criteria: SelectionCriteri
 def number_with_clear_gains(
     start: Fit, number: int, most: int, again: Callable[[Fit, int, float], Fit], criteria: SelectionCriteria
 ) -> tuple[int, Fit]:
-    """Double a number of changes while that clearly reduces the error, or halve it if no doubling does.
+    """Double the number of voltage changes per row while this clearly reduces the error; else halve it.
 
     Args:
-        start: Fit with the given number.
-        number: Number of changes a row, at least 2.
+        start: Fit with the first number.
+        number: First number of changes per row, at least 2.
         most: Largest number.
-        again: Function that continues a fit with another number, down to a cost (dimensionless) above which
-            it is of no use.
+        again: Function (fit, number, cost) that continues a fit with another number; it may end early if the
+            result exceeds the cost (dimensionless).
         criteria: Decision thresholds of `required_gain`.
 
     Returns:
-        The number at which this ends, and its fit.
+        Final number, and its fit.
     """
     present = number
     for factor in (2.0, 0.5):
@@ -271,30 +275,29 @@ def _delays_all_drives(machine: Machine) -> bool:
 
 
 def is_timing(effect: Effect) -> bool:
-    """Return whether an effect delays the voltages or lets the currents lag behind them.
+    """Return whether an effect delays the voltages, or lets the currents lag behind them.
 
-    The current that lags is the state itself; heat or a sagging supply change the current that follows at
-    once.
+    Effects of heat or of a sagging supply also change currents, but the current follows the voltage at once.
     """
     lags = effect.current is not None and effect.next_state is not None
     return effect.delay is not None or (lags and "i" not in argument_names(effect.current))
 
 
 def count_updates(fitted: Fit, data: Dataset, excess: ExcessDelay | None = None) -> int:
-    """Count the changes of the voltages from one row to the next.
+    """Count the voltage changes from one row of a log to the next, from the delay of the voltages.
 
-    Voltages that change n times a row act later than continuous ones by 1 / (2 n) sampling periods, and
-    instruments tell by how much they act later or earlier than assumed. The error itself tells it less well:
-    voltages that act earlier contain more of the controller's answer to the rounding error of the next row,
-    so that fits find too many changes.
+    Voltages that change n times a row act later than continuous ones by 1 / (2 n) sampling periods. A fit by
+    instrumental variables estimates this delay (`slow_logs.excess_delay`). Comparing the errors of fits would
+    count too many changes: voltages that act earlier contain more of the controller's answer to the rounding
+    error of the next row.
 
     Args:
-        data: Runs with a first number of changes, at least 2.
-        excess: What instruments find with that number, if it is known already.
+        data: Runs with an assumed number of changes, at least 2.
+        excess: Delay beyond that of the assumed number, if it is already known.
 
     Returns:
-        The number, from 2 to `most_updates`, whose delay is closest to the one that instruments find; the
-        first one if they find none.
+        The number, from 2 to `most_updates`, whose delay is closest to the estimated one; the assumed number
+        if the delay cannot be estimated.
     """
     most = most_updates(data)
     if most <= _FEWEST_UPDATES:
@@ -309,16 +312,18 @@ def count_updates(fitted: Fit, data: Dataset, excess: ExcessDelay | None = None)
 def number_with_least_excess(
     number: int, most: int, excess: ExcessDelay | None, measured: MeasuredExcess
 ) -> int:
-    """Count the changes of the voltages between rows by how much later they act than a number says.
+    """Return the number of voltage changes per row whose delay agrees best with the estimated delay.
+
+    With the right number, the voltages act neither later nor earlier than assumed: the excess delay is 0.
 
     Args:
-        number: A first number of changes, at least 2.
+        number: Assumed number of changes per row, at least 2.
         most: Largest number.
-        excess: What instruments find with the first number, if they find anything.
-        measured: Function that returns what they find with another number.
+        excess: Excess delay with the assumed number; None if it cannot be estimated.
+        measured: Function that returns the excess delay with another number.
 
     Returns:
-        The number, from 2 to the largest one; the first one if instruments find nothing.
+        Number from 2 to `most`; the assumed one if `excess` is None.
     """
     while excess is not None:
         nearest = _number_with_delay(0.5 / number + excess.periods, _FEWEST_UPDATES, most)
@@ -382,13 +387,13 @@ def _number_with_delay(periods: float, fewest: int, most: int) -> int:
 
 
 def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> VoltageUpdates:
-    """Find how often the voltages change from one row to the next.
+    """Determine whether, and how often, the voltages change from one row of a log to the next.
 
     Args:
-        fitted: Fit of a machine to the runs as they are.
+        fitted: Fit of a machine to the runs with held voltages.
 
     Returns:
-        The number of changes, and what it leaves of the error beside what held voltages leave.
+        The number of changes, with the errors of the fits with held and with changing voltages.
     """
     data = data.with_updates(1)
     held = continue_fit(fitted, data, SEARCH_BANDWIDTH)
@@ -458,13 +463,13 @@ def can_show_updates(data: Dataset) -> bool:
 
 
 def most_updates(data: Dataset) -> int:
-    """Return up to how many changes of the voltages from one row to the next are told apart.
+    """Return the largest number of voltage changes per row that is tried.
 
     Changes that follow each other faster than the integration steps of the search (0.25 ms) move the voltages
     by less than half a step, but multiply the steps of every simulation.
 
     Args:
-        data: Runs, whose sampling period counts.
+        data: Runs, for their sampling period.
 
     Returns:
         The number, from 1 to 20; 1 if the rows follow each other as fast as these steps.
@@ -473,9 +478,9 @@ def most_updates(data: Dataset) -> int:
 
 
 def successive_changes(data: Dataset) -> float:
-    """Return the fraction of the changes of the inputs from row to row that follow one in the row before.
+    """Return the fraction of the input changes that follow a change in the row before.
 
-    Rows that the logger dropped, whose inputs are not known, show neither changes nor rests.
+    Dropped rows, whose inputs are unknown, are not counted.
     """
     changes, successive = 0, 0
     for run in data.runs:

@@ -83,7 +83,7 @@ def drive_force(machine: Machine, data: Dataset) -> float:
 
 
 def force_size(force: Array) -> float:
-    """Return the root mean square length of `force`, N, with a vector in each row, shape (n, coordinates)."""
+    """Return the root mean square magnitude of `force`, N, one vector per row, shape (n, coordinates)."""
     return float(np.sqrt(np.mean(np.sum(force**2, axis=1))))
 
 

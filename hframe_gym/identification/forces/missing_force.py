@@ -67,18 +67,18 @@ def smooth_force_residual(machine: Machine, run: PreparedRecording, data: Datase
 
 
 class MissingMotion(NamedTuple):
-    """What a prediction with feedback says about a run of n samples, on a machine with m motions.
+    """Missing force and disagreement of the sensors in a run of n samples, on a machine with m rigid motions.
 
     Attributes:
         force: Force that the model lacks along each rigid motion (`rigid_motions`; coordinates without one
             move alone), N or Nm, below 30 Hz, shape (n, m).
         correction: Force along each motion by which the observer corrects the prediction. It follows the
             missing force with a lag (`correction_filters`), but has white noise; shape (n, m).
-        correction_noise: The part of it that synthetic noise (fixed seed) in the measurements causes, same
-            shape.
+        correction_noise: Part of `correction` that synthetic noise (fixed seed) in the measurements causes,
+            same shape.
         disagreement: Combinations of the sensors' errors that no rigid motion causes, in standard deviations
             of the sensors' noise, shape (n, sensors - m).
-        disagreement_noise: The part of it that the same noise causes, same shape.
+        disagreement_noise: Part of `disagreement` that the same noise causes, same shape.
         positions: Predicted positions, m or rad, shape (n, coordinates).
         velocities: Predicted velocities, m/s or rad/s, shape (n, coordinates).
     """
@@ -93,7 +93,9 @@ class MissingMotion(NamedTuple):
 
 
 def missing_motions(machine: Machine, data: Dataset) -> list[MissingMotion]:
-    """Estimate by run the force that the model lacks and how far the sensors disagree, each beside its noise.
+    """Estimate, for each run, the force that the model lacks and the disagreement of the sensors.
+
+    Each comes with the part that noise causes.
 
     Returns:
         Forces, N or Nm, disagreements and motion, arrays of shape (n, ...), one entry per run of n samples.
@@ -114,7 +116,7 @@ def missing_motions(machine: Machine, data: Dataset) -> list[MissingMotion]:
 
 
 def motion_directions(machine: Machine, data: Dataset) -> Array:
-    """Return the force along each rigid motion per force on a coordinate.
+    """Return the matrix from forces on the coordinates to forces along the rigid motions.
 
     Args:
         data: Data set, for the sampling period.
@@ -126,9 +128,9 @@ def motion_directions(machine: Machine, data: Dataset) -> Array:
 
 
 def correction_filters(machine: Machine, data: Dataset) -> list[tuple[Array, Array]]:
-    """Return the low-pass filters by which corrections of the observer of 60 rad/s follow the missing force.
+    """Return the low-pass filters that lead from the missing force to the observer's corrections (60 rad/s).
 
-    Both are forces along a rigid motion of the machine, N or Nm; a constant force is followed completely.
+    Both are forces along a rigid motion of the machine, N or Nm. For a constant force they are equal.
 
     Args:
         data: Data set, for the sampling period.
@@ -282,7 +284,7 @@ def missing_force(
     Args:
         data: Measured runs with n rows in total.
         cutoff: Cut-off frequency, Hz. Default: 30, for small periodic forces; narrow forces need more.
-        followed: The runs as the machine follows them. Default: of `follow_runs`.
+        followed: Predicted runs, if known. Default: result of `follow_runs`.
 
     Returns:
         By coordinate name, an array of shape (n, 3) with the columns position, velocity and missing force: m,
@@ -302,13 +304,13 @@ def missing_force(
 
 
 def sensor_errors(machine: Machine, followed: Sequence[FollowedRun]) -> dict[str, Array]:
-    """Return what an observer has not yet corrected of position sensors' errors, together with the motion.
+    """Return the position sensors' prediction errors beside the motion, after an observer's corrections.
 
     Errors that change faster than the bandwidth of the observer (60 rad/s; 25 rad/s of lasers beside
-    encoders) are complete; slower ones it follows.
+    encoders) are complete; the observer corrects slower errors.
 
     Args:
-        followed: The runs as it follows them, n rows in total.
+        followed: Runs predicted with the observer, n rows in total.
 
     Returns:
         By channel, an array of shape (n, 3) with the columns position and velocity of the coordinate that the
@@ -343,7 +345,9 @@ def _inverted(
 
 
 def low_pass(values: Array, period: float) -> Array:
-    """Return what the missing force would show of a signal: its part below 30 Hz, shape (n, k), without lag.
+    """Filter a signal as the missing force is filtered: keep its part below 30 Hz, without phase lag.
+
+    The result has the shape (n, k).
 
     Args:
         values: Signal, shape (n, k).

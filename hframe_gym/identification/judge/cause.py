@@ -27,15 +27,16 @@ def beyond_noise(total: float, by_noise: float) -> float:
 
 @dataclass(frozen=True)
 class CauseEvidence:
-    """What a variable explains of a missing force.
+    """How much of a missing force a variable, such as a position, explains.
 
     Attributes:
-        explained: Sum of squares that it explains in pieces to which its curve was not fitted.
-        certain: The same minus its standard error.
-        fraction: Fraction beyond noise that it explains of all pieces.
+        explained: Sum of squares that the variable explains in pieces of the runs to which its curve was not
+            fitted.
+        certain: `explained` minus its standard error.
+        fraction: Explained fraction of the sum of squares beyond noise, in all pieces.
         beyond_noise: Sum of squares beyond noise.
         plain: Whether the variable is a position, a velocity or a current.
-        constant: Whether it is a force that depends on no variable.
+        constant: Whether the cause is a constant force, which depends on no variable.
     """
 
     explained: float
@@ -47,16 +48,16 @@ class CauseEvidence:
 
 
 def is_cause(evidence: CauseEvidence) -> bool:
-    """Return whether a variable explains a part of the missing force that chance does not."""
+    """Return whether a variable explains more of the missing force than chance does."""
     explained = min(evidence.explained / evidence.beyond_noise, evidence.fraction)
     return evidence.certain > 0.0 and explained > MINIMUM_DEPENDENCE
 
 
 def rank_of_cause(evidence: CauseEvidence, total: float) -> float:
-    """Return what sorts causes: the fraction that they explain for certain, the plainer ones preferred.
+    """Return a sort key for causes: the certainly explained fraction, with a preference for plain variables.
 
     Args:
-        evidence: What the variable explains.
+        evidence: Evidence for the cause.
         total: Sum of squares, noise included, dimensionless.
     """
     explained = evidence.certain / total
@@ -66,14 +67,14 @@ def rank_of_cause(evidence: CauseEvidence, total: float) -> float:
 
 
 def names_causes(matches: Sequence[Sequence[bool]]) -> bool:
-    """Return whether effects are the causes of a missing force.
+    """Return whether the found effects agree with the causes of a missing force.
 
     Args:
         matches: For each effect, whether it acts on the component and depends on the variable of each cause,
             the strongest cause first.
 
     Returns:
-        True if the strongest cause is that of an effect, and each effect has a cause.
+        True if an effect matches the strongest cause, and each effect matches some cause.
     """
     if not matches or not matches[0]:
         return False

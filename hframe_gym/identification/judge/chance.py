@@ -1,4 +1,4 @@
-"""Judge how much of a cost an effect that does not exist removes by chance.
+"""Judge how much of the cost an effect that does not exist removes by chance.
 
 The error that a model leaves is correlated in time, so that tests that assume white noise accept effects that
 do not exist.
@@ -18,7 +18,7 @@ class LongRunVariance:
     """Variance of a residual in the direction in which an effect changes predictions, summed over long times.
 
     Attributes:
-        ratio: This variance / that of white noise, dimensionless, at least 1; infinite if the machine
+        ratio: Variance / variance for white noise, dimensionless, at least 1; infinite if the machine
             diverges.
         parameters: Number of free parameters of the effect.
         blocks: Number of independent pieces of time from which it is estimated; few of them estimate it
@@ -44,10 +44,10 @@ def chance_gain(variance: LongRunVariance, criteria: SelectionCriteria) -> float
 
 
 def chance_deviations(criteria: SelectionCriteria) -> float:
-    """Return how many standard deviations from 0 an estimate must be so that chance rarely brings it there.
+    """Return how many standard deviations from 0 an estimate must be to exclude chance.
 
     Args:
-        criteria: Decision threshold `chance`, the probability that it does.
+        criteria: Decision threshold `chance`, the probability that chance alone leads so far.
 
     Returns:
         Number of standard deviations of a normal distribution, to either side, dimensionless: 4.9 for 1e-6.

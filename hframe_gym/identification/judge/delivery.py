@@ -14,15 +14,15 @@ NO_CLEAR_GAIN = "does not clearly reduce the error of the held-out runs"
 
 
 def is_worse_than(ratio: float, left: float, criteria: SelectionCriteria) -> bool:
-    """Return whether a machine predicts held-out runs worse than a simpler one: the plain fit, the declared.
+    """Return whether a machine predicts held-out runs worse than a simpler one, such as the plain fit.
 
-    What noise explains is hardly an error: among machines that leave no more, a somewhat smaller one is
-    chance. The noise is the same for both, so that it does not explain a clear difference. An error below the
-    noise counts as the noise.
+    An error that noise explains is hardly an error: among machines within the noise, a slightly smaller error
+    is chance, but a clearly smaller one is not, because both see the same noise. An error below the noise
+    counts as the noise.
 
     Args:
         ratio: Ratio of its simulation error to that of the simpler machine.
-        left: Its simulation error in units of the noise; not a number if it diverges.
+        left: Simulation error of the machine in units of the noise; not a number if it diverges.
         criteria: Decision thresholds `min_gain`, for the ratio of the squared errors, and
             `max_noise_ratio_explained`, up to which they may differ by `AS_GOOD`.
     """
@@ -34,9 +34,9 @@ def is_worse_than(ratio: float, left: float, criteria: SelectionCriteria) -> boo
 def held_out_run_decides(explained: bool, *, contradicts_all: bool) -> bool:
     """Return whether a held-out run may help to choose between a fitted machine and simpler ones.
 
-    A run that contradicts all of them says that something was wrong with it, not which machine is right: the
-    smaller of two errors that both differ in kind from what the fitted runs leave is chance, and so large
-    that it would outvote the other held-out runs.
+    A run that contradicts all of them does not show which machine is right, but that something was wrong with
+    the run. Its errors would outvote the other held-out runs, and which machine has the smaller one is
+    chance.
 
     Args:
         explained: Whether the fitted machine explains the fitted runs.
@@ -48,18 +48,19 @@ def held_out_run_decides(explained: bool, *, contradicts_all: bool) -> bool:
 def forces_contradict(lacking: float, without: float) -> bool:
     """Return whether the measured forces contradict effects whose values were fitted to complete runs.
 
-    A cause exerts its force at every moment. Effects that bring the end of a long simulation closer, but miss
-    more of the forces on the way than the machine without them, compensate for something else.
+    A cause exerts its force at every moment. Effects that improve the end of a long simulation, but make the
+    forces on the way worse, compensate for something else.
 
     Args:
-        lacking: Force that the machine with the effects lacks, relative to that of the drives.
-        without: Force that the refitted machine without them lacks, relative to that of the drives.
+        lacking: Missing force of the machine with the effects, relative to the force of the drives.
+        without: Missing force of the refitted machine without the effects, relative to the force of the
+            drives.
     """
     return lacking > AS_GOOD * without
 
 
 def needs_description(verdict: Verdict, names: int, left: float, criteria: SelectionCriteria) -> bool:
-    """Return whether what is left should be described, because no cause of it is named.
+    """Return whether a table should describe the remaining error, because no cause of it is named.
 
     Args:
         verdict: Verdict of the search.
@@ -72,12 +73,12 @@ def needs_description(verdict: Verdict, names: int, left: float, criteria: Selec
 
 
 def description_helps(ratio: float, predicted: float | None = None) -> bool:
-    """Return whether a machine with a description, thus more effects, is delivered instead of the other.
+    """Return whether to deliver a machine with a description (more effects or tables) instead of the other.
 
     Args:
-        ratio: Ratio of their simulation errors on the held-out runs.
-        predicted: Ratio of the squared errors of their predictions, if the motion of the machine without the
-            description is unstable: there the smaller error of a simulation may be chance, so that
-            predictions must become better too. None if it is stable.
+        ratio: Ratio of the simulation errors with / without the description on the held-out runs.
+        predicted: Ratio of the squared prediction errors with / without the description, if the motion is
+            unstable: a smaller simulation error may then be chance, so that predictions must improve too.
+            None if the motion is stable.
     """
     return AS_GOOD * ratio**2 < 1.0 and (predicted is None or AS_GOOD * predicted < 1.0)

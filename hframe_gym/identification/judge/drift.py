@@ -11,14 +11,14 @@ from .error import FitError, is_enough, required_gain
 
 @dataclass(frozen=True)
 class DriftEvidence:
-    """Effects that may differ from run to run, compared with a parameter that has another value in each run.
+    """Comparison of effects with a parameter that has another value in each run.
 
     Attributes:
         unknowns: Number of parameters of the effects that are functions of time or begin each run in an
             unknown state, plus the number of these states; 0 if there is no such effect.
-        values: Number of values that differ from the first run's, one less than the number of runs.
+        values: Number of additional values of the parameter: number of runs - 1.
         explained: Function that returns whether the machine with effects explains the data in simulation.
-        wide: Function that returns its error with the widest observer.
+        wide: Function that returns the error of this machine with the observer of the largest bandwidth.
         without: Function that returns the error with that observer and without these effects; None if they
             cannot be removed alone.
         by_run: Function that returns the error with that observer and another value in each run, in place of
@@ -36,10 +36,10 @@ class DriftEvidence:
 def imitates_drift(evidence: DriftEvidence, criteria: SelectionCriteria) -> bool:
     """Return whether effects only imitate a parameter that differs from run to run.
 
-    They may if they leave an error in simulation, which an observer hides, and if the values in each run
-    explain something: they must reduce the error without these effects by as much as an effect must. Of both
-    explanations, the one with fewer unknowns then holds unless the other one is better by as much: what
-    changes over time must show within the runs where these are few, since any two of them may differ.
+    Two conditions must hold first: the effects leave an error in simulation, which an observer hides; and the
+    values by run reduce the error without the effects by as much as an effect must. Then the explanation with
+    fewer unknowns counts, unless the other one is better by as much. With few runs, a change over time must
+    therefore show within the runs, since any two runs may differ.
 
     Args:
         evidence: Errors with the effects and with another value in each run.
@@ -57,7 +57,7 @@ def imitates_drift(evidence: DriftEvidence, criteria: SelectionCriteria) -> bool
 
 
 def less_well_than_by_run(parameter: str) -> str:
-    """Return why effects that may differ from run to run are removed, a clause that follows "it ".
+    """Return the reason for removing effects that imitate a drift, as a clause that follows "it ".
 
     Args:
         parameter: Name of the parameter whose values by run explain more.

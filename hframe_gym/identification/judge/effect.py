@@ -38,7 +38,7 @@ NO_GAIN = "does not reduce the error of the held-out runs"
 
 @dataclass(frozen=True)
 class Chance:
-    """A reduction of the cost, and what decides how much chance reaches.
+    """A reduction of the cost, and the variance by which to compare it with chance.
 
     Attributes:
         gain: Reduction of the cost by the effect.
@@ -54,9 +54,9 @@ class Forces:
     """Root mean square forces, N.
 
     Attributes:
-        effect: Force of the effect; of one that has none at the machine's coordinates, what it takes from the
-            unexplained force.
-        residue: Force that remains unexplained beside it.
+        effect: Force of the effect. For an effect without a force at the machine's coordinates: its reduction
+            of the unexplained force.
+        residue: Force that remains unexplained with the effect.
     """
 
     effect: float
@@ -65,7 +65,7 @@ class Forces:
 
 @dataclass(frozen=True)
 class Addition:
-    """What an effect adds to the force of another effect that depends on the same variable.
+    """Force that an effect adds to another effect that depends on the same variable.
 
     Attributes:
         label: Label of the other effect.
@@ -78,11 +78,11 @@ class Addition:
 
 @dataclass(frozen=True)
 class Disagreement:
-    """What sensors that measure the same motions say differently: sum of squares in units of their noise.
+    """Disagreement of sensors that measure the same motions: sum of squares in units of their noise.
 
     Attributes:
         without: Sum without an effect, dimensionless.
-        with_effect: Sum with it.
+        with_effect: Sum with the effect.
     """
 
     without: float
@@ -97,10 +97,10 @@ class ParameterValue:
         name: Name of the parameter.
         unit: Its unit.
         value: Fitted value.
-        limits: Limits that are no meaningful values themselves, such as 0 or a starting value.
-        covered: Range that the motion of the runs covers, for a width or a rate that it limits; otherwise
+        limits: Limits at which the value has no meaning, such as 0.
+        covered: Range of values that the motion of the runs can determine, for a width or a rate; otherwise
             None.
-        covered_below: Whether also the lower end of this range is a limit of what the runs show.
+        covered_below: Whether the lower end of `covered` is such a limit, too.
     """
 
     name: str
@@ -113,7 +113,7 @@ class ParameterValue:
 
 @dataclass(frozen=True)
 class Size:
-    """A parameter without which an effect is absent, as it is delivered.
+    """An amplitude of a delivered effect: a parameter whose value 0 means that the effect is absent.
 
     Attributes:
         name: Name of the parameter.
@@ -132,12 +132,12 @@ class Size:
 
 @dataclass(frozen=True)
 class SizeByFit:
-    """A parameter without which an effect is absent, by two fits.
+    """An amplitude of an effect (0: absent), estimated by two fits that should agree.
 
     Attributes:
         name: Name of the parameter.
-        value: Its value in the fit that is tested, in its unit.
-        other: Its value in a fit that weighs fast errors more, or by instruments.
+        value: Value in the tested fit, in its unit.
+        other: Value in a fit that weighs fast errors more, or in one by instrumental variables.
         std: Function that returns the standard deviation of their difference; this takes seconds.
     """
 
@@ -164,16 +164,17 @@ class MachineBehavior:
 
 @dataclass(frozen=True)
 class EffectEvidence:
-    """What the fitted runs say about one effect.
+    """Evidence of the fitted runs for and against one effect.
 
     Attributes:
         without: Error without the effect.
-        with_effect: Error with it.
-        forceless: Whether it adds coordinates or changes the clock; it then has no force at those of the
-            machine.
+        with_effect: Error with the effect.
+        forceless: Whether the effect adds coordinates or changes the clock, and therefore has no force at the
+            machine's coordinates.
         confirmed: Reduction of the cost in runs to which the effect was not fitted, by a linear model.
-        confirmed_accurate: The same, fitted again without each piece, or an upper limit of it below the least
-            reduction that confirms, which is given.
+        confirmed_accurate: Function of the smallest reduction that confirms the effect. It returns the same
+            with a complete fit without each piece, or, if that is less than its argument, an upper limit
+            below it.
         fault: Why the machine with the effect is not physical, as `fault_of_machine` says.
         chance: Reduction and long-run variance at the observer of both fits.
         chance_narrower: The same at the next narrower observer; None for a simulation.
@@ -182,15 +183,14 @@ class EffectEvidence:
         drives: Force of the drives, N.
         additions: What the effect adds to each effect of another family that depends on the same variable.
         parameters: Its fitted parameters.
-        beside_voltages: Reduction of the cost beside what unknown voltages between the rows may explain; None
-            if the voltages are held.
+        beside_voltages: Reduction of the cost that unknown voltages between the rows cannot explain; None if
+            the voltages are held.
         disagreement: Disagreement of the sensors without and with an error of one of them; None if the effect
             is none of a sensor, or no other sensor measures the same motions.
-        sizes_by_observer: Parameters without which the effect is absent, with the observer of the fits and
-            with the widest one; None if the voltages are held, or if the observer of the fits is the widest
-            one.
-        sizes_by_instruments: The same by least squares and by instruments; none if instruments find nothing;
-            None if the voltages are held.
+        sizes_by_observer: Amplitudes with the observer of the fits and with the one of largest bandwidth;
+            None if the voltages are held, or if both are the same.
+        sizes_by_instruments: Amplitudes by least squares and by instrumental variables; empty if the latter
+            fail, None if the voltages are held.
     """
 
     without: FitError
@@ -218,10 +218,10 @@ class EffectEvidence:
 
 
 def enough_gain(error: FitError, criteria: SelectionCriteria, *, voltages_known: bool) -> float:
-    """Return the smallest reduction of chi-squared per sample, dimensionless, for which an effect is taken.
+    """Return the smallest reduction of chi-squared per sample, dimensionless, to select an effect.
 
-    Where unknown voltages between the rows may cause all of the error beyond the noise, a right effect need
-    not remove a fraction of it. The other tests decide then.
+    If unknown voltages between the rows may cause all of the error beyond the noise, a true effect need not
+    remove a fraction of it. The other tests decide then.
 
     Args:
         error: Error without the effect, or with it.
@@ -250,9 +250,9 @@ def doubt_about_candidate(evidence: EffectEvidence, criteria: SelectionCriteria)
 
 
 def may_be_no_effect(doubt: str) -> bool:
-    """Return whether chance or unknown voltages may cause the error that a doubted effect explains.
+    """Return whether a doubt means that there may be no effect at all: chance or unknown voltages suffice.
 
-    Other doubts concern the effect itself: another one may cause the error.
+    Other doubts mean that another effect may be the cause.
 
     Args:
         doubt: Why the effect may not exist, or "".
@@ -261,7 +261,7 @@ def may_be_no_effect(doubt: str) -> bool:
 
 
 def hidden_by(label: str) -> str:
-    """Return the doubt about an effect that explains nothing of its own beside one that may be no effect.
+    """Return the doubt about an effect that explains nothing beyond another effect, which may not exist.
 
     Args:
         label: Label of the other effect.
@@ -382,10 +382,10 @@ def _unconfirmed(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
 
 
 def fault_of_machine(behavior: MachineBehavior) -> str:
-    """Return why a machine is not physical outside its recordings, so that it must not be used, or "".
+    """Return why a machine is not physical outside its recordings, or "" if it is physical.
 
     Args:
-        behavior: How it behaves there.
+        behavior: Behavior of the machine outside the recordings.
     """
     if not behavior.tension_rises:
         return "lets the tension of a belt fall with its extension within the reach of the rated voltage"
@@ -449,7 +449,7 @@ def _form_error(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
 
 
 def parameter_at_limit(parameters: Iterable[ParameterValue]) -> str:
-    """Return the doubt about an effect with a parameter at a limit of its range, without meaning; else "".
+    """Return the doubt about an effect that has a parameter at a meaningless limit of its range; else "".
 
     Args:
         parameters: Fitted parameters of the effect.
@@ -472,16 +472,15 @@ def parameter_at_limit(parameters: Iterable[ParameterValue]) -> str:
 
 
 def uncertain_size(sizes: Sequence[Size], criteria: SelectionCriteria) -> str:
-    """Return the doubt that a delivered effect has no size; "" if a size is certain, or it has none.
+    """Return the doubt about an effect whose amplitudes all may be 0; "" if one is certain.
 
-    A size is certain if it exceeds as many standard deviations as the best of all candidates reaches by
-    chance. This is asked again at the end because the tests of the search compare costs of earlier fits,
+    An amplitude is certain if it exceeds as many standard deviations as the best of all candidates reaches by
+    chance. This is tested again at the end because the tests of the search compare costs of earlier fits,
     which used other observers and rows. Also, a fit may have ended where the measurements hardly depend on
     the effect: then something else lowered the cost.
 
     Args:
-        sizes: Parameters without which the effect is absent, in the delivered machine; one that is certain
-            suffices.
+        sizes: Amplitudes of the effect in the delivered machine.
         criteria: Decision threshold `chance`.
     """
     deviations = chance_deviations(criteria)
@@ -493,20 +492,19 @@ def uncertain_size(sizes: Sequence[Size], criteria: SelectionCriteria) -> str:
 
 @dataclass(frozen=True)
 class TimingEvidence:
-    """What the runs say about a delay or lag of the drives, judged by a wider observer than the search's.
+    """Evidence for a delay or lag of the drives, with an observer of larger bandwidth than the search's.
 
     Attributes:
         search: Costs without and with the effect, with the observer of the search.
         wide: The same with the wider observer.
         variance: Function that returns the variance of the residual in the effect's direction, with the wider
             observer.
-        confirmed: Reduction of the cost in runs to which it was not fitted, with the wider observer, by a
-            linear model.
-        confirmed_accurate: The same, fitted again without each piece, or an upper limit of it below the least
-            reduction that confirms, which is given.
+        confirmed: Reduction of the cost in runs to which the effect was not fitted, with the wider observer,
+            by a linear model.
+        confirmed_accurate: As in `EffectEvidence`, with the wider observer.
         fault: Why the machine with the effect is not physical.
-        held_out_gain: Function that returns which fraction of the error of the held-out runs it removes, with
-            the wider observer; infinite without such runs.
+        held_out_gain: Function that returns the fraction of the held-out runs' error that the effect removes,
+            with the wider observer; infinite without such runs.
     """
 
     search: tuple[float, float]
@@ -531,7 +529,8 @@ def removed_fraction(without: float, with_effect: float) -> float:
 def doubt_about_timing(evidence: TimingEvidence, criteria: SelectionCriteria) -> str:
     """Return why a delay or lag of the drives may not exist; "" if nothing speaks against it.
 
-    What it explains is fast. It must therefore remove a larger fraction of the error with the wider observer.
+    The errors that it explains are fast. It must therefore remove a larger fraction of the error with the
+    wider observer.
 
     Args:
         evidence: What the fitted and the held-out runs say.

@@ -30,7 +30,7 @@ SIZE_OF_VOLTAGES = 2.0
 
 @dataclass(frozen=True)
 class FitError:
-    """What a fit leaves of the error.
+    """Error of a fit.
 
     Attributes:
         cost: Sum of squared residuals in units of the noise.
@@ -90,12 +90,12 @@ def is_enough(without: FitError, with_effect: FitError, enough: float) -> bool:
 def explains(
     error: FitError, criteria: SelectionCriteria, *, without_effects: bool, simulated: Measured
 ) -> bool:
-    """Return whether a machine explains the data.
+    """Return whether a machine explains the data, so that no effect is missing.
 
     A machine without effects that needs the widest observer may lack forces of unknown size, although the
-    observer leaves no error. Its simulation, which no observer corrects, shows their size; it may leave what
-    the held-out runs may. Noise that drifts, such as that of a tachometer, needs this observer as well. Rigs
-    with a negligible residue needed 15 to 30 rad/s.
+    observer leaves no error. Therefore its simulation, without an observer, must also explain the data,
+    within the limit for held-out runs. (Drifting noise, such as that of a tachometer, needs this observer as
+    well. Rigs with a negligible residue needed 15 to 30 rad/s.)
 
     Args:
         error: Error at the most likely observer bandwidth.
@@ -116,8 +116,8 @@ def nearly_explains(error: FitError, criteria: SelectionCriteria) -> bool:
 def voltages_may_cause(error: FitError, criteria: SelectionCriteria) -> bool:
     """Return whether unknown voltages between the rows may cause all of an error beyond the noise.
 
-    Of a log with all voltages, an exact machine may leave as much as `explained_chi2`; here, an excess that
-    is larger by the factor within which the variance of these voltages is known.
+    With all voltages known, an exact machine may leave as much as `explained_chi2`. Here the limit of the
+    excess is larger, by the factor within which the variance of the unknown voltages is known.
 
     Args:
         error: Error of a fit to a log that is slower than its controller.
@@ -127,12 +127,12 @@ def voltages_may_cause(error: FitError, criteria: SelectionCriteria) -> bool:
 
 
 def only_noise_is_left(error: FitError, criteria: SelectionCriteria) -> bool:
-    """Return whether only noise is left: what exceeds it is less than an effect must explain (`min_gain`)."""
+    """Return whether only noise is left: the rest is less than an effect must explain (`min_gain`)."""
     return error.chi2 <= 1.0 + criteria.min_gain
 
 
 def unexplained_fraction(error: FitError, best: FitError | None) -> float:
-    """Return which fraction of an error beyond the noise remains with the best trial.
+    """Return the fraction of an error beyond the noise that remains with the best trial.
 
     Args:
         error: Error without a trial.
@@ -147,8 +147,8 @@ def unexplained_fraction(error: FitError, best: FitError | None) -> float:
 def is_better_start(predicted: tuple[float, float], simulated: tuple[float, float]) -> bool:
     """Return whether a refit from the values of a plain fit is better than one from the declared values.
 
-    It is if its predictions are clearly better, or if they are a little better and its simulation is much
-    better.
+    It is better if its predictions are clearly better, or if they are a little better and its simulation is
+    much better.
 
     Args:
         predicted: Costs of the refits from the plain and from the declared values, with the widest observer,

@@ -1,4 +1,4 @@
-"""Judge effects by the held-out runs, which can only remove them."""
+"""Judge effects by the held-out runs, which can only remove effects."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ WORSENS = "reduces the error of the held-out runs, but they are simulated worse 
 
 
 def gain_of_effect(gain: float, simulated: Measured | None) -> float:
-    """Return the fraction of the squared error of the held-out runs that an effect removes.
+    """Return the fraction of the held-out runs' squared error that an effect removes.
 
-    An observer hides slow errors, and with them what a small constant force explains. If it shows no gain,
+    An observer hides slow errors, and with them the effect of a small constant force. If it shows no gain,
     the error of a simulation decides, provided that the effect clearly reduces it.
 
     Args:
         gain: Fraction of the squared error of predictions, negative if the effect increases it.
-        simulated: The same of a simulation; None if `gain` is that.
+        simulated: Function that returns the fraction for a simulation; None if `gain` is from a simulation.
     """
     if gain > 0.0 or simulated is None:
         return gain
@@ -34,7 +34,7 @@ def gain_of_effect(gain: float, simulated: Measured | None) -> float:
 
 
 def is_excited(change: float, error: float) -> bool:
-    """Return whether the held-out runs depend on an effect.
+    """Return whether an effect changes the predictions of the held-out runs enough to be tested by them.
 
     Args:
         change: Sum of the squared changes of the predictions by the effect, in units of the noise; not finite
@@ -49,14 +49,15 @@ def worsens_simulation(log_ratios: Sequence[float]) -> bool:
 
     Args:
         log_ratios: Logarithm of the squared simulation error with / without effects, of each run; 0 where
-            both diverge. In their mean, a single run with a large error of another cause counts little.
+            both diverge. In the mean of logarithms, a single run with a large error of another cause has
+            little weight.
     """
     return bool(np.sum(log_ratios) > 0.0)
 
 
 @dataclass(frozen=True)
 class HeldOutEffect:
-    """What the held-out runs say about one effect.
+    """Evidence of the held-out runs for one effect.
 
     Attributes:
         gain: Fraction of their squared error that the effect removes, dimensionless.
@@ -72,9 +73,9 @@ def refuted_effects(
 ) -> tuple[tuple[str, ...], str]:
     """Return the effects that the held-out runs refute.
 
-    These runs never add or change an effect. One that they do not excite is kept: the fitted runs have
-    confirmed it. If each effect reduces their error but all together make their simulation worse, each of
-    them may be removed.
+    These runs never add or change an effect. An effect that they do not excite is kept, because the fitted
+    runs have confirmed it. If each effect reduces their error but all together make the simulation worse, all
+    of them are returned.
 
     Args:
         effects: What the runs say about each effect, by its label.

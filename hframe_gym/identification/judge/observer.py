@@ -1,4 +1,4 @@
-"""Which observer a machine needs: rules on losses and costs of fits of one machine at several bandwidths."""
+"""Choose the observer bandwidth for a machine from the losses and costs of fits at several bandwidths."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def likeliest(narrowing: Iterable[tuple[Fitted, float]], simulated: tuple[Fitted
     holds the machine at rest.
 
     Args:
-        narrowing: Fits with their losses (-2 log likelihood per value, dimensionless), at least one, from the
-            present observer to narrower ones; no more are asked for than are compared.
+        narrowing: Fits with their losses (-2 log likelihood per value, dimensionless), at least one, by
+            decreasing bandwidth; only the compared ones are computed.
         simulated: The fit in simulation and its loss.
 
     Returns:
@@ -45,9 +45,9 @@ def best_in_simulation(
 
     Args:
         narrowing: Fits with their products, from the present observer to narrower ones.
-        simulated: Function that continues the best of these without an observer, as a fit in simulation, and
-            returns that fit with its product. It gets the best one and its product, which it has to reduce.
-            Its cost in simulation is by cross-validation, because such a fit adapts to errors of the model.
+        simulated: Function that continues the best of these fits in simulation, without an observer, and
+            returns the result with its product. Its arguments are the best fit and its product. The cost in
+            simulation is cross-validated, because such a fit adapts to errors of the model.
 
     Returns:
         The fit with the smallest product; the earlier of two that are equal.
@@ -58,7 +58,7 @@ def best_in_simulation(
 
 
 def index_of_best_simulation(costs: Array) -> int:
-    """Return the index of the machines that simulate runs best, all runs counting alike.
+    """Return the index of the machine that simulates the runs best; all runs have equal weight.
 
     Args:
         costs: Cost of each run in simulation with each of the machines, dimensionless,

@@ -12,7 +12,9 @@ from .error import AS_GOOD, CLEAR, FitError, nearly_explains
 
 
 def equal_margin(without: FitError, best_cost: float, criteria: SelectionCriteria) -> float:
-    """Return the difference of cost from the best trial, dimensionless, up to which another is equally good.
+    """Return by how much a trial's cost may exceed the best one's if both count as equally good.
+
+    The result is dimensionless.
 
     Args:
         without: Error without any of the trials.
@@ -23,7 +25,7 @@ def equal_margin(without: FitError, best_cost: float, criteria: SelectionCriteri
 
 
 def preference(cost: float, parameters: int, needs_part: bool, limit: float) -> tuple[bool, int, bool]:
-    """Return a key that sorts trials: of those up to a limit of the cost, that with fewest parameters first.
+    """Return a sort key for trials; of equally good ones, the one with the fewest parameters comes first.
 
     Of these, an effect that any machine may have comes before one that needs a part: friction that falls with
     speed was called an eddy-current brake on a ball screw that has no magnets.
@@ -40,7 +42,7 @@ def preference(cost: float, parameters: int, needs_part: bool, limit: float) -> 
 
 @dataclass(frozen=True)
 class TrialEvidence:
-    """What the trials of two effects in the same step of a search say.
+    """Errors of the trials of two effects in the same step of a search.
 
     Attributes:
         without: Error without either effect.
@@ -56,13 +58,12 @@ class TrialEvidence:
 
 
 def may_be_the_cause(evidence: TrialEvidence, criteria: SelectionCriteria) -> bool:
-    """Return whether another effect that was tried may be the cause in place of the selected one.
+    """Return whether another tried effect, instead of the selected one, may be the cause.
 
-    It may if it explains nearly as much. So it may if it explains more than half as much, and if chance can
-    cause the difference: what is left is correlated in time, and an effect that is not there may take up some
-    of it. Where the selected effect does not nearly explain the data, what is left is that of missing effects
-    and not chance. Both effects are then as good as each other if they leave about the same of it: the trials
-    are neither complete nor accurate, and both effects are compared again beside those that are missing.
+    It may be in three cases: it explains nearly as much; it explains more than half as much, and chance can
+    cause the difference, because the remaining error is correlated in time; or the selected effect does not
+    nearly explain the data, and both leave about the same error. In the last case the error is due to missing
+    effects, and both effects are compared again once these are found.
 
     Args:
         evidence: Errors without and with each of the two effects.
@@ -86,9 +87,9 @@ class RivalEvidence:
 
     Attributes:
         loss: With the effect.
-        margin: What chance may add to it, if the effect is right.
+        margin: Amount that chance may add to `loss`, if the effect is right.
         rival_loss: With the rival.
-        rival_margin: What chance may add to that, if the rival is right.
+        rival_margin: Amount that chance may add to `rival_loss`, if the rival is right.
         known: Whether the rival was fitted during the search; otherwise it was derived from a pair of
             effects.
     """
@@ -112,7 +113,7 @@ def chance_margin(variance: LongRunVariance, count: float, criteria: SelectionCr
 
 
 def is_likelier(evidence: RivalEvidence, least: float) -> bool:
-    """Return whether a rival is more likely than everything before by more than chance may cause.
+    """Return whether a rival is more likely than the effect and all rivals so far, beyond chance.
 
     Args:
         evidence: Losses with the effect and with the rival.
@@ -122,20 +123,21 @@ def is_likelier(evidence: RivalEvidence, least: float) -> bool:
 
 
 def remains_rival(evidence: RivalEvidence) -> bool:
-    """Return whether a rival is not less likely than the effect by more than chance may cause.
+    """Return whether a rival remains possible: chance may explain that it is less likely than the effect.
 
-    A pair that moves the stage alike differs only while friction holds the stage, where a fit is least
-    reliable; its margin is the larger of both.
+    A pair of effects that moves the stage alike differs only while friction holds the stage, where a fit is
+    least reliable; the larger of both margins counts then.
     """
     margin = evidence.margin if evidence.known else max(evidence.margin, evidence.rival_margin)
     return evidence.rival_loss <= evidence.loss + margin
 
 
 def only_a_row_tells(durations: Sequence[float], period: float) -> bool:
-    """Return whether only what happens within a row of a log can tell effects apart.
+    """Return whether effects differ only within a row of a log, so that the log cannot distinguish them.
 
-    A delay and a lag of equal duration act alike on all that changes more slowly. In a log slower than its
-    controller, the voltages within a row are not known: of two stages, the wrong one of both explained more.
+    A delay and a lag of equal duration act alike on everything that changes more slowly. In a log slower than
+    its controller, the voltages within a row are unknown: on two stages, the wrong effect of the two
+    explained more.
 
     Args:
         durations: Durations of the effects, s.
@@ -145,9 +147,9 @@ def only_a_row_tells(durations: Sequence[float], period: float) -> bool:
 
 
 def largest_resembling_loss(variance: LongRunVariance, criteria: SelectionCriteria) -> float:
-    """Return the increase of chi-squared, dimensionless, up to which runs may not distinguish two effects.
+    """Return the increase of chi-squared, dimensionless, below which runs may not distinguish two effects.
 
-    It is known to first order only, so that it must be clearly larger than what chance may cause.
+    It is known to first order only, and is therefore clearly larger than what chance may cause.
 
     Args:
         variance: Variance of the residual in the effect's direction.

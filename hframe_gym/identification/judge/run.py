@@ -22,7 +22,7 @@ SAME = 0.05
 
 
 def contradicting_run(ratios: Mapping[str, float]) -> str | None:
-    """Return the name of the run that contradicts the others most, None if none does.
+    """Return the name of the run that contradicts all others most; None if there is none.
 
     Args:
         ratios: By name of a run, its chi-squared per sample / that of the other runs, both for parameters
@@ -36,7 +36,7 @@ def contradicting_run(ratios: Mapping[str, float]) -> str | None:
 
 @dataclass(frozen=True)
 class HeldOutRun:
-    """What a run that was not fitted shows of the machine.
+    """Evidence of one held-out run about the machine.
 
     Attributes:
         error: Error of the machine with the selected effects on this run.
@@ -53,8 +53,8 @@ class HeldOutRun:
 def contradicts(run: HeldOutRun) -> bool:
     """Return whether a held-out run contradicts the machine that explains the fitted runs.
 
-    An effect, or all effects together, that clearly worsen a run cause its error: it refutes them and does
-    not count.
+    It does not if an effect, or all effects together, clearly worsen the run: then the effects are wrong, not
+    the run.
 
     Args:
         run: What the run shows.
@@ -65,35 +65,37 @@ def contradicts(run: HeldOutRun) -> bool:
 
 
 def uses_all_runs(chi2_without: float, complete_explained: bool, complete_chi2: Measured) -> bool:
-    """Return whether effects found in all runs count, where those found without a suspect explain little.
+    """Return whether to use effects found in all runs; those found without a suspect run explain little.
 
     Args:
         chi2_without: Chi-squared per sample, dimensionless, that the search without the suspect leaves, with
             the widest observer.
         complete_explained: Whether the effects found in all runs explain all runs.
-        complete_chi2: Chi-squared per sample that they leave, with the widest observer.
+        complete_chi2: Function that returns the chi-squared per sample that these leave, with the widest
+            observer.
     """
     return complete_explained or complete_chi2() < FAR * chi2_without
 
 
 def differs_in_a_parameter(suspect: str, different_run: str | None, chi2: float, chi2_others: float) -> bool:
-    """Return whether another value of one parameter explains a suspect as well as the others are explained.
+    """Return whether a suspect run differs from the others only in the value of one parameter.
 
     Args:
         suspect: Name of the run that differs most.
         different_run: Name of the only run in which the parameter has another value; None if several do.
-        chi2: Chi-squared per sample of all runs, the suspect too, if each has its own value of the parameter,
+        chi2: Chi-squared per sample of all runs, including the suspect, with a separate value of the
+            parameter in each, dimensionless.
+        chi2_others: Chi-squared per sample of the runs without the suspect, to which the machine is fitted,
             dimensionless.
-        chi2_others: That of the runs without the suspect, to which the machine is fitted, dimensionless.
     """
     return different_run == suspect and chi2 < AS_GOOD * chi2_others
 
 
 def run_that_differs_alone(different_run: str | None, chi2: float, chi2_before: float) -> str | None:
-    """Return the name of the one run that needs another value of a quantity, if the run is more likely wrong.
+    """Return the name of the only run that needs another value of a quantity, if this is a fault of the run.
 
-    It is if one value for all runs leaves far more than a value in each. An effect that only this run excites
-    raises the error less.
+    It is a fault if one value for all runs leaves far more error than a value in each. An effect that only
+    this run excites raises the error less.
 
     Args:
         different_run: Name of the run; None if several differ.
@@ -117,10 +119,10 @@ def explains_all_runs(chi2: float, variance: float, criteria: SelectionCriteria)
 
 
 def explains_by_run(by_run: FitError, common: FitError, criteria: SelectionCriteria) -> bool:
-    """Return whether a quantity's value in each run explains the runs, and one value for all does not.
+    """Return whether a quantity with a separate value in each run explains the runs, which one value does not.
 
-    It must reduce the error by as much as an effect must: values that differ without a reason also reduce it
-    somewhat, and of an error just above what counts as explained, this is enough to seem an explanation.
+    The separate values must reduce the error by as much as an effect must. Otherwise, with an error just
+    above what counts as explained, arbitrary differences would seem an explanation.
 
     Args:
         by_run: Error with a value in each run, with the widest observer.
@@ -132,7 +134,7 @@ def explains_by_run(by_run: FitError, common: FitError, criteria: SelectionCrite
 
 
 def amounts_differ(amounts: Sequence[float], shared: float) -> bool:
-    """Return whether runs differ in a quantity; otherwise all need the same other value.
+    """Return whether a quantity differs between runs; otherwise all runs need the same other value.
 
     Args:
         amounts: Amount of each run minus the smallest, dimensionless.
@@ -142,7 +144,7 @@ def amounts_differ(amounts: Sequence[float], shared: float) -> bool:
 
 
 def amounts_drift(amounts: Sequence[float]) -> bool:
-    """Return whether a quantity only rises or only falls in the order of the runs' times.
+    """Return whether a quantity changes steadily, up or down, from run to run.
 
     Args:
         amounts: Amount of each run, dimensionless, in this order.
@@ -152,7 +154,7 @@ def amounts_drift(amounts: Sequence[float]) -> bool:
 
 
 def different_run(amounts: Mapping[str, float]) -> str | None:
-    """Return the name of the one run whose amount of a quantity differs from the others'; or None.
+    """Return the name of the run, if only one differs from all others in a quantity; else None.
 
     Args:
         amounts: Amount by name of the run, dimensionless.
@@ -165,7 +167,9 @@ def different_run(amounts: Mapping[str, float]) -> str | None:
 
 
 def accepts_run_observers(log_ratio: float) -> bool:
-    """Return whether parameters from an observer for each run are accepted, as they simulate hardly worse.
+    """Return whether to accept parameters fitted with a separate observer for each run.
+
+    They are accepted unless they simulate the runs much worse.
 
     Args:
         log_ratio: Logarithm of the ratio of mean square errors in simulation, with them / with one observer
@@ -175,7 +179,7 @@ def accepts_run_observers(log_ratio: float) -> bool:
 
 
 def exchanges_held_out(differing: int, held_out: int, fitted: int) -> bool:
-    """Return whether to search with other runs held out: every held-out run contradicts the fitted ones.
+    """Return whether to search again with other runs held out, because all held-out runs contradict the fit.
 
     Args:
         differing: Number of held-out runs that contradict.
@@ -186,11 +190,11 @@ def exchanges_held_out(differing: int, held_out: int, fitted: int) -> bool:
 
 
 def exchange_confirms(effects: Sequence[HeldOutEffect]) -> bool:
-    """Return whether the runs that are held out in exchange confirm effects that were found in all others.
+    """Return whether the runs held out in the second search confirm the effects found in the other runs.
 
-    The other division of the runs was chosen because the first held-out runs contradicted. These are fitted
-    now, so that they confirm nothing. Runs that agreed with the machine without effects do, if they depend on
-    each effect: a cause that is present in one run alone, such as a loose connector, leaves no trace in them.
+    The second division was chosen because the first held-out runs contradicted the fit. These are fitted now
+    and confirm nothing. The runs held out now confirm an effect if they depend on it: a cause that is present
+    in one run alone, such as a loose connector, leaves no trace in them.
 
     Args:
         effects: What the runs that are held out now say about each effect.

@@ -23,7 +23,7 @@ class SensorEvidence:
 
 
 def deviates_alone(evidence: SensorEvidence) -> bool:
-    """Return whether an error is no noise, and other sensors exclude that it is one of the motion."""
+    """Return whether a sensor itself is wrong: its error exceeds noise, and other sensors contradict it."""
     if not evidence.noise_ratio**2 > FAR or not evidence.others:
         return False
     return all(ratios and all(FAR * ratio**2 < 1.0 for ratio in ratios) for ratios in evidence.others)

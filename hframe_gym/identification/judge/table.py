@@ -13,7 +13,7 @@ from .error import AS_GOOD, CLEAR, FAR, FitError, is_enough, required_gain
 
 
 def confirms_table(left_out_ratio: float, criteria: SelectionCriteria) -> bool:
-    """Return whether data to which a table was not fitted confirm it.
+    """Return whether a table is confirmed by data to which it was not fitted.
 
     Args:
         left_out_ratio: Ratio of the cost of these data with the table / without it, a geometric mean; not
@@ -26,8 +26,8 @@ def confirms_table(left_out_ratio: float, criteria: SelectionCriteria) -> bool:
 def confirms_knots(left_out_ratio: float) -> bool:
     """Return whether moved knots reduce the cost of data to which they were not fitted.
 
-    Any reduction suffices, because few runs reach the ends of a table, so that its error there is uncertain:
-    how large the gain must be, `moves_knots` asks.
+    Any reduction suffices, because few runs reach the ends of a table, so that its error there is uncertain.
+    `moves_knots` decides whether the gain is large enough.
 
     Args:
         left_out_ratio: Ratio of the cost of these data with the moved knots / with the former ones.
@@ -85,10 +85,11 @@ def accepts_table(evidence: TableEvidence) -> bool:
 
 
 def is_one_curve(table: float, effects: float) -> bool:
-    """Return whether effects of a variable imitate a curve of another form, as a table in their place shows.
+    """Return whether several effects of one variable only imitate a curve of another form.
 
-    At the widest observer they may explain the data; the error of their forms adds up in a simulation. Where
-    effects are right, a table resolves their curve at best as well as they do.
+    A table over the variable, in place of the effects, shows this. With the widest observer, such effects may
+    explain the data, but the error of their forms adds up in a simulation. A table can hardly be better than
+    the right effects.
 
     Args:
         table: Cost of the simulation with the table in place of the effects, dimensionless.
@@ -98,7 +99,7 @@ def is_one_curve(table: float, effects: float) -> bool:
 
 
 def recommended_formula(errors: Sequence[float]) -> int | None:
-    """Return which formula replaces a table: the simplest that is as good as the best, or None.
+    """Return the index of the simplest formula that is as good as the best one; None if there is none.
 
     Args:
         errors: Root mean square errors of the formulas, in units of the noise, the simplest formula first.
@@ -107,7 +108,7 @@ def recommended_formula(errors: Sequence[float]) -> int | None:
 
 
 def is_better_than_table(formula: float, table: float) -> bool:
-    """Return whether a formula is better than the table in whose place it is.
+    """Return whether a formula is better than the table that it replaces.
 
     Args:
         formula: Root mean square error with the formula on the held-out runs, in units of the noise.

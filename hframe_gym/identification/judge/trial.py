@@ -12,7 +12,7 @@ from .error import CLEAR, FitError, nearly_explains, only_noise_is_left, unexpla
 
 
 def least_promise(enough: float, count: float, best: float, criteria: SelectionCriteria) -> float:
-    """Return the linearized reduction of the cost, dimensionless, above which a candidate is fitted.
+    """Return the linearized reduction of the cost, dimensionless, that makes a candidate worth a fit.
 
     Args:
         enough: Reduction of chi-squared per sample that the search requires, dimensionless.
@@ -24,7 +24,7 @@ def least_promise(enough: float, count: float, best: float, criteria: SelectionC
 
 
 def promises_enough_force(size: float, residue: float, criteria: SelectionCriteria) -> bool:
-    """Return whether a candidate may have more force than what remains unexplained beside it.
+    """Return whether a candidate's force may exceed the force that would remain unexplained.
 
     Args:
         size: Linearized force of the candidate, N.
@@ -40,18 +40,19 @@ def explains_alone(error: FitError, best: FitError | None, criteria: SelectionCr
 
 
 def may_be_rival(promise: float, explaining: float, criteria: SelectionCriteria) -> bool:
-    """Return whether a candidate may be a rival of one that explains the data.
+    """Return whether a candidate may be a rival of the candidate that explains the data.
 
     Args:
-        promise: Its linearized reduction of the cost, dimensionless.
-        explaining: That of the candidate which explains the data, dimensionless; 0 if there is none.
+        promise: Linearized reduction of the cost by the candidate, dimensionless.
+        explaining: Linearized reduction by the candidate that explains the data, dimensionless; 0 if there is
+            none.
         criteria: Decision threshold `rival_promise`.
     """
     return promise > criteria.rival_promise * explaining
 
 
 def may_replace(promise: float, gain: float, criteria: SelectionCriteria) -> bool:
-    """Return whether another effect may explain as much as one that is removed.
+    """Return whether another effect may explain as much as the one that is removed.
 
     Args:
         promise: Linearized reduction of the cost by the other effect, without the removed one, dimensionless.
@@ -64,7 +65,7 @@ def may_replace(promise: float, gain: float, criteria: SelectionCriteria) -> boo
 def may_be_local_minimum(
     error: FitError, criteria: SelectionCriteria, *, any_trial: bool, parameter_at_limit: bool
 ) -> bool:
-    """Return whether candidates are also tried from the declared parameters.
+    """Return whether to try candidates from the declared parameters too, in case of a local minimum.
 
     Args:
         error: Error of the present fit.
@@ -76,10 +77,10 @@ def may_be_local_minimum(
 
 
 def least_structural_promise(useful: float, enough: float, criteria: SelectionCriteria) -> float:
-    """Return the linearized gain, dimensionless, above which an effect that replaces a part is fitted.
+    """Return the linearized gain, dimensionless, above which a structural effect is fitted.
 
-    Where no other effect is useful, every candidate may be needed: the linearization underestimates their
-    gain.
+    A structural effect replaces a part of the model. If no other effect is useful, every candidate may be
+    needed, because the linearization underestimates their gain.
 
     Args:
         useful: Best gain of a trial with another effect, chi-squared per sample, dimensionless.
@@ -91,7 +92,7 @@ def least_structural_promise(useful: float, enough: float, criteria: SelectionCr
 
 @dataclass(frozen=True)
 class StructureEvidence:
-    """What decides whether effects that replace a part of the model are tried.
+    """Evidence for the decision to try structural effects, which replace a part of the model.
 
     Attributes:
         error: Error of the present fit.
@@ -110,10 +111,10 @@ class StructureEvidence:
 
 
 def is_worth_structures(evidence: StructureEvidence, criteria: SelectionCriteria) -> bool:
-    """Return whether effects that replace a part of the model are tried: the others leave much of the error.
+    """Return whether to try structural effects (replacing a part of the model): others leave much error.
 
-    Their simulations must first be compiled. After a trial in vain, the error must have become clearly
-    smaller. An excess below the least gain of an effect is none of theirs either.
+    Their simulations must first be compiled. After an unsuccessful attempt, the error must have become
+    clearly smaller. They are not tried for an excess below the least gain of an effect either.
 
     Args:
         evidence: The present errors, and those at the last trial.
@@ -134,7 +135,7 @@ def is_worth_structures(evidence: StructureEvidence, criteria: SelectionCriteria
 def is_worth_convergence(
     error: FitError, trial: FitError, enough: float, criteria: SelectionCriteria
 ) -> bool:
-    """Return whether the fit of a trial is continued: its first iterations reach a part of the required gain.
+    """Return whether to continue the fit of a trial: its first iterations gain enough of what is required.
 
     Args:
         error: Error without the effect.
@@ -157,10 +158,10 @@ def largest_useful_cost(error: FitError, enough: float, criteria: SelectionCrite
 
 
 def gives_way(gain: float, best_other: float) -> bool:
-    """Return whether a trial with a parameter at the limit of its range gives way to trials without.
+    """Return whether to put a trial with a parameter at its limit behind trials without such a parameter.
 
     Its effect would be removed at the end (`judge.effect.parameter_at_limit`); until then, it would hide what
-    another effect explains. While other effects are missing, a right effect may be at a limit as well, and
+    another effect explains. But while other effects are missing, a true effect may be at a limit as well, and
     explain far more.
 
     Args:
@@ -177,7 +178,7 @@ def search_goes_on(
 
     Args:
         error: Error with the effects selected up to now.
-        selected: Their number.
+        selected: Number of selected effects.
         criteria: Decision thresholds `max_effects` and `min_gain`.
         noise_known: Whether the size of the noise is known, so that an error of that size has no other cause.
             The errors of voltages between the rows of a log are known within a factor of four only.
@@ -188,30 +189,30 @@ def search_goes_on(
 def is_worth_searching_pairs(error: FitError, selected: int, criteria: SelectionCriteria) -> bool:
     """Return whether to search for two effects that reduce the error only together.
 
-    Not if the selected effects nearly explain the data: a pair that fits the small rest may be none of the
-    machine's.
+    It is not worth it if the selected effects nearly explain the data: a pair that fits the small rest may
+    not exist.
 
     Args:
         error: Error with the effects selected up to now.
-        selected: Their number.
+        selected: Number of selected effects.
         criteria: Decision thresholds `explained_chi2` and `max_effects`.
     """
     return not nearly_explains(error, criteria) and selected + 2 <= criteria.max_effects
 
 
 def is_worth_comparing_rivals(error: FitError, criteria: SelectionCriteria) -> bool:
-    """Return whether rivals are compared before the next step: perhaps nothing is wrong but one of them."""
+    """Return whether to compare rivals before the next step, because a wrong effect may be the only fault."""
     return not error.simulated and nearly_explains(error, criteria)
 
 
 def is_worth_narrower_observer(wider: FitError, simulated: FitError, criteria: SelectionCriteria) -> bool:
-    """Return whether effects are searched for with a still narrower observer, at last in simulation.
+    """Return whether to search for effects with the next smaller observer bandwidth, at last in simulation.
 
-    The model must nearly explain the data with the one before, while much is left in simulation. An error of
-    a sensor that changes over the whole travel, for example, is too slow for all observers.
+    The model must nearly explain the data with the present observer, while much error is left in simulation.
+    An error of a sensor that changes over the whole travel, for example, is too slow for all observers.
 
     Args:
-        wider: Error with the observer that was tried before.
+        wider: Error with the present observer.
         simulated: Error of the same machine in simulation.
         criteria: Decision threshold `explained_chi2`.
     """

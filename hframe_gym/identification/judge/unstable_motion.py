@@ -20,7 +20,7 @@ class UnstableMotion:
     """Evidence about a machine along an unstable motion.
 
     Attributes:
-        enlarged: How many times a simulation enlarges an error of the size of the noise, dimensionless
+        enlarged: Factor by which a simulation enlarges an error of the size of the noise, dimensionless
             (`unstable_motion.enlargement`).
         predicted: Squared error of predictions with the observer that judges / that of an exact machine,
             dimensionless, of the run and sensor with the largest one; infinite if a prediction diverges.
@@ -31,39 +31,40 @@ class UnstableMotion:
 
 
 def is_unstable(enlarged: float, criteria: SelectionCriteria) -> bool:
-    """Return whether a motion is unstable: errors as small as noise leave more than noise in a simulation.
+    """Return whether a motion is unstable: errors of the size of the noise grow beyond it in a simulation.
 
     Args:
-        enlarged: How many times a simulation enlarges an error of the size of the noise, dimensionless.
+        enlarged: Factor by which a simulation enlarges an error of the size of the noise, dimensionless.
         criteria: Decision threshold `max_noise_ratio_explained`.
     """
     return enlarged > criteria.max_noise_ratio_explained
 
 
 def largest_grown_error(motion: UnstableMotion, criteria: SelectionCriteria) -> float:
-    """Return up to which simulation error, in units of the noise, an unstable motion is the cause of it."""
+    """Return the largest simulation error, in units of the noise, that an unstable motion alone may cause."""
     return criteria.max_noise_ratio_explained * motion.enlarged
 
 
 def predictions_explain(motion: UnstableMotion) -> bool:
-    """Return whether predictions explain an unstable motion as well as those of an exact machine.
+    """Return whether the predictions of an unstable motion are as good as those of an exact machine.
 
-    Elsewhere, an error beyond the noise must be small in predictions and in simulation. Here predictions are
-    the only evidence, so that they must be as good as those of an exact machine: of a pendulum without its
-    Stribeck friction, they leave 1.23 times as much, with it 0.97 times.
+    In a stable motion, an error beyond the noise must be small in predictions and in simulation. Here
+    predictions are the only evidence, so that the limit is stricter: for a pendulum without its Stribeck
+    friction they leave 1.23 times the error of an exact machine, with it 0.97 times.
     """
     return motion.predicted <= AS_GOOD
 
 
 def explains_unstable_motion(left: float, motion: UnstableMotion | None, criteria: SelectionCriteria) -> bool:
-    """Return whether a simulation's error is what an unstable motion makes of noise, by predictions.
+    """Return whether noise that grows along an unstable motion causes a simulation's error.
 
-    Such a machine is not replaced by a simpler one whose simulation errs less. What errs by more than noise
-    that has grown lacks something, which an observer must not hide.
+    The predictions must confirm this. Such a machine is not replaced by a simpler one with a smaller
+    simulation error. If the error exceeds grown noise, the machine lacks something, which an observer must
+    not hide.
 
     Args:
         left: Simulation error in units of the noise, dimensionless; not a number if the simulation diverges.
-        motion: What is known of the motion; None if it is stable.
+        motion: Evidence about the motion; None if it is stable.
         criteria: Decision threshold `max_noise_ratio_explained`.
     """
     return (

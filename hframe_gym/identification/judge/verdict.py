@@ -22,31 +22,31 @@ Verdict = Literal["effect_found", "no_effect", "unexplained"]
 
 @dataclass(frozen=True)
 class VerdictEvidence:
-    """What the held-out runs say about the refitted machine (before) and the machine with effects (after).
+    """Evidence of the held-out runs about the refitted machine (before) and the machine with effects (after).
 
     Runs that contradict the fitted ones do not count, unless all of them do. A machine whose simulation
     diverges has infinite errors.
 
     Attributes:
         left: Simulation error with the effects, in multiples of the noise at rest, rms over channels. In a
-            log that is slower than its controller, of what noise and the unknown voltages between the rows
-            cause together.
+            log slower than its controller, in multiples of what noise and the unknown voltages between the
+            rows cause together.
         left_before: The same without effects.
         motion: Simulation error with the effects relative to the motion, rms over the channels.
-        lacking: Force that the machine with effects lacks, relative to that of the drives.
+        lacking: Missing force of the machine with effects, relative to the force of the drives.
         remaining_prediction: Fraction of the squared error of predictions, beyond the noise at rest, that the
             effects leave. An observer corrects these predictions by the measurements.
         causes_named: Whether the effects act where the force comes from that is missing without them
             (`dependences.agree_with_causes`).
         remaining_fast: The same fraction as `remaining_prediction` with the widest observer, which hides slow
             forces.
-        reduction: By how much the effects reduce the squared error of predictions / by how much they do if
-            they are right, which is the square of their change of the predictions, dimensionless.
+        reduction: Actual / expected reduction of the squared prediction error by the effects, dimensionless.
+            The expected one, of true effects, is the square of their change of the predictions.
         voltages_known: Whether the log contains all voltages.
-        predicted: Chi-squared per sample of predictions, of what noise and unknown voltages cause: the larger
-            one of the widest observer and the one that judges effects. Only where no effect is named, of a
-            log that is slower than its controller.
-        unstable: What is known of the motion if it is unstable, None if it is stable or only noise is left.
+        predicted: Chi-squared per sample of predictions, relative to what noise and unknown voltages cause:
+            the larger value of the widest observer and the one that judges effects. Only for a log slower
+            than its controller, if no effect is named.
+        unstable: Evidence about the motion if it is unstable; None if it is stable or only noise is left.
     """
 
     left: float
@@ -63,12 +63,12 @@ class VerdictEvidence:
 
     @property
     def remaining_simulation(self) -> float:
-        """Fraction of the squared simulation error beyond the noise that the effects leave."""
+        """Fraction of the squared simulation error, beyond the noise, that remains with the effects."""
         return remaining(self.left**2, self.left_before**2, 1.0)
 
     @property
     def in_words(self) -> str:
-        """The error that is left, in numbers."""
+        """The remaining error as text, for the report."""
         force = (
             f" and {100 * self.lacking:.2g} % of the drives' force are"
             if 0.0 < self.lacking < math.inf  # 0: less than the noise of the sensors shows
@@ -83,7 +83,7 @@ class VerdictEvidence:
 
 
 def remaining(after: float, before: float, floor: float) -> float:
-    """Return which fraction of a mean squared error effects leave, beyond that of an exact machine.
+    """Return the fraction of a squared error, beyond that of an exact machine, that remains with effects.
 
     Args:
         after: Mean squared error with the effects / noise variance, dimensionless.
@@ -101,11 +101,11 @@ def remaining(after: float, before: float, floor: float) -> float:
 
 
 def error_beyond_noise(motion: float, left: float) -> float:
-    """Return the largest error of a machine that the noise may hide, relative to the motion.
+    """Return the largest error of a machine, relative to the motion, that noise may hide.
 
-    It is the part of the squared error beyond the noise, but at least the part within which two errors are as
-    good as each other, because the noise is not known better. The many samples of an accelerometer show an
-    error far below the noise of each of them.
+    It is the part of the squared error beyond the noise, but at least the margin within which two errors are
+    equally good, because the noise is not known more accurately. The many samples of an accelerometer show an
+    error far below the noise of a single sample.
 
     Args:
         motion: Error relative to the motion, noise included.
@@ -116,12 +116,12 @@ def error_beyond_noise(motion: float, left: float) -> float:
 
 
 def contradiction_of_no_effect(evidence: VerdictEvidence, criteria: SelectionCriteria) -> str:
-    """Return why the held-out runs contradict that no effect is missing, or "" if they do not.
+    """Return why the held-out runs contradict the verdict "no_effect", or "" if they do not.
 
-    In a log that is slower than its controller, the simulation error is compared with that of noise and
-    unknown voltages, whose size is known within a factor of two. Where the motion is unstable, it is compared
-    with what an error of the size of the noise grows to. Predictions, in which neither adds up, must be
-    explained as well.
+    In a log slower than its controller, the simulation error is compared with that of noise and unknown
+    voltages, whose size is known within a factor of two. If the motion is unstable, it is compared with what
+    an error of the size of the noise grows to. Predictions, in which neither adds up, must be explained as
+    well.
 
     Args:
         evidence: What the held-out runs say; the machine of the verdict is "after".
@@ -160,14 +160,14 @@ def contradiction_of_no_effect(evidence: VerdictEvidence, criteria: SelectionCri
 
 
 def contradiction_of_names(evidence: VerdictEvidence, explained: bool, criteria: SelectionCriteria) -> str:
-    """Return why the held-out runs do not permit to name effects, or "" if they do.
+    """Return why the held-out runs do not permit naming the effects, or "" if they do.
 
-    Effects are named if they leave hardly more than noise, if what they leave is small against what they
-    explain, or if it has another cause (unknown voltages, a slow force) and they remove as much as effects of
-    their size must.
+    Effects are named in three cases: they leave hardly more than noise; what they leave is small compared
+    with what they explain; or it has another cause (unknown voltages, a slow force) and they remove as much
+    as effects of their size must.
 
     Args:
-        evidence: What the held-out runs say.
+        evidence: Evidence of the held-out runs.
         explained: Whether the machine with effects explains the fitted runs, at the noise and the observer of
             the fit.
         criteria: Decision thresholds `max_noise_ratio_explained`, `max_remaining` and `max_partial_excess`.
@@ -227,7 +227,7 @@ class PartialEvidence:
 
 
 def explains_most(evidence: PartialEvidence, criteria: SelectionCriteria) -> bool:
-    """Return whether effects remove most of the error that goes beyond the noise, although they leave some.
+    """Return whether effects remove most, but not all, of the error beyond the noise.
 
     Args:
         evidence: Errors with and without effects.
@@ -242,7 +242,7 @@ def explains_most(evidence: PartialEvidence, criteria: SelectionCriteria) -> boo
 def verdict_of_effects(
     any_effect: bool, drift: str, explained: Callable[[], bool]
 ) -> tuple[Verdict, str] | None:
-    """Return the verdict on effects of the library if a table cannot change it, and why they are not used.
+    """Return the verdict on effects of the library, unless a table may still change it.
 
     Args:
         any_effect: Whether effects passed all tests.
@@ -251,8 +251,8 @@ def verdict_of_effects(
         explained: Function that returns whether the machine with the effects explains the data.
 
     Returns:
-        Verdict, and a clause that follows "it " if effects are removed; None where a table may explain the
-        error.
+        Verdict, and the reason why effects are removed (a clause that follows "it ") or "". None if a table
+        may explain the error.
     """
     if drift:
         return "unexplained", less_well_than_by_run(drift)
@@ -268,7 +268,7 @@ def verdict_of_rest(
     evidence: Callable[[], PartialEvidence],
     criteria: SelectionCriteria,
 ) -> tuple[Verdict, str]:
-    """Return the verdict where neither effects nor a table describe an error, and why effects are removed.
+    """Return the verdict if neither effects nor a table explain the data, and why effects are removed or "".
 
     Args:
         any_effect: Whether effects passed all tests.
@@ -298,7 +298,7 @@ def verdict_after_removal(verdict: Verdict, any_effect: bool, refitted_explains:
 
 
 def final_verdict(verdict: Verdict, *, any_effect: bool) -> Verdict:
-    """Return the verdict of the report: a sensor at the end of its range is an effect, though never searched.
+    """Return the verdict of the report, in which a saturated sensor also counts as an effect.
 
     Args:
         verdict: Verdict of the search and of the held-out runs.

@@ -21,7 +21,7 @@ CLEAR_DELAY = 3.3
 
 @dataclass(frozen=True)
 class UpdatesEvidence:
-    """What the motion says about voltages between the rows of a log.
+    """Evidence of the motion about voltages between the rows of a log.
 
     Attributes:
         held: Error of the fit with voltages that are held from row to row.
@@ -36,10 +36,10 @@ class UpdatesEvidence:
 
 
 def may_change_between_rows(successive: float) -> bool:
-    """Return whether the commands of a log may be those of a controller that is faster than the log.
+    """Return whether the commands of a log may come from a controller that is faster than the log.
 
-    A command that rests between its changes is not computed more often than it is logged. To interpolate its
-    steps only moves them, as a shorter delay does.
+    They may not if they rest between their changes: a controller does not compute such a command more often
+    than it is logged. To interpolate its steps only moves them, as a shorter delay does.
 
     Args:
         successive: Fraction of the changes of the commands that follow a change in the row before,
@@ -51,9 +51,9 @@ def may_change_between_rows(successive: float) -> bool:
 def commands_are_held_over_gaps(held: Array, interpolated: Array) -> bool:
     """Return whether commands that rest between their changes keep their last value in the gaps of a log.
 
-    They do if a controller that was late neither computed nor logged anything. If only the logger was late,
-    they changed somewhere in the gap, and are on average what a straight line over the gap is: recorded rows
-    cannot tell, the motion after the gaps does.
+    They do if the controller was late, so that it neither computed nor logged anything. If only the logger
+    was late, they changed somewhere in the gap, and a straight line over the gap is right on average.
+    Recorded rows cannot distinguish the two cases; the motion after the gaps does.
 
     Args:
         held: Cost of each run with commands that are held over its gaps, shape (runs,).
@@ -63,11 +63,11 @@ def commands_are_held_over_gaps(held: Array, interpolated: Array) -> bool:
 
 
 def replaces_held_commands(estimated: FitError, held: FitError) -> bool:
-    """Return whether estimated voltages take the place of commands that are held over the gaps of a run.
+    """Return whether estimated voltages replace commands that are held over the gaps of a run.
 
-    A held command is known, and an estimate only takes up what the machine lacks: a joint whose commands were
-    0.1 and 0.2 Nm seemed to have -0.7 Nm between them. A step within a gap leaves far more of the motion than
-    its estimate.
+    A held command is known, and an estimate only adapts to what the machine lacks: a joint whose commands
+    were 0.1 and 0.2 Nm seemed to have -0.7 Nm between them. The estimate must therefore leave far less of the
+    motion, as it does if a step lies within a gap.
 
     Args:
         estimated: Error of the run with estimated voltages.
@@ -79,10 +79,10 @@ def replaces_held_commands(estimated: FitError, held: FitError) -> bool:
 def voltages_change_between_rows(evidence: UpdatesEvidence, criteria: SelectionCriteria) -> bool:
     """Return whether the voltages change between the rows, instead of being held.
 
-    Held voltages must leave clearly more of the error that noise and the unknown voltages do not cause, in
-    most runs. Changes must reduce the error itself as well, although interpolation adds one of its own: where
-    voltages are held, it adds much more, and reduces nothing (eleven rigs; a machine without one of two
-    effects: by 1.4 %).
+    Two conditions must hold. Beyond what noise and unknown voltages cause, held voltages leave clearly more
+    error, in most runs. And changing voltages reduce the error itself, although interpolation adds an error
+    of its own: if the voltages are really held, it adds much more and reduces nothing (eleven rigs; a machine
+    without one of two effects: by 1.4 %).
 
     Args:
         evidence: Errors with held and with changing voltages.
@@ -97,7 +97,7 @@ def voltages_change_at_another_rate(delay: float, deviation: float) -> bool:
     """Return whether interpolated voltages may change more or less often per row than a search has assumed.
 
     Args:
-        delay: By how much later the voltages act than this number says, in sampling periods, dimensionless.
+        delay: Delay of the voltages beyond that of the assumed number, in sampling periods, dimensionless.
         deviation: Standard deviation of this delay, the accuracy of the times of recordings included,
             dimensionless.
     """
@@ -105,12 +105,13 @@ def voltages_change_at_another_rate(delay: float, deviation: float) -> bool:
 
 
 def another_rate_explains_more(present: FitError, other: FitError, criteria: SelectionCriteria) -> bool:
-    """Return whether a search begins again because voltages change at another rate per row than it assumed.
+    """Return whether to search again with another number of voltage changes per row.
 
-    Instruments have found another delay, clearly. What a machine lacks moves this delay too, such as the
-    inductance of a motor: where the unknown voltages cannot cause all that is left, another number must
-    reduce the error by as much as an effect must. Where they can, the error tells numbers apart less well
-    than the delay and prefers too many, so that another one only must not raise it by as much.
+    It follows a clear difference between the assumed and the estimated delay of the voltages. A missing
+    effect, such as the inductance of a motor, also changes this delay. If the unknown voltages cannot cause
+    all of the remaining error, the other number must therefore reduce the error by as much as an effect must.
+    If they can, it only must not raise the error by as much, because the error is then less accurate than the
+    delay and prefers too many changes.
 
     Args:
         present: Error of a fit with the present number of changes.
@@ -123,14 +124,13 @@ def another_rate_explains_more(present: FitError, other: FitError, criteria: Sel
 
 
 def drives_delay_voltages(counted: FitError, delayed: FitError, criteria: SelectionCriteria) -> bool:
-    """Return whether drives with a delay or lag, not fewer changes a row, let voltages act later.
+    """Return whether voltages act later due to a delay or lag of the drives, not to fewer changes per row.
 
-    Fewer changes act later as well and need no effect: where both explain the same, no delay is there. Where
-    unknown voltages cannot cause all that is left, a missing effect may move the delay, so that nothing
-    tells.
+    If fewer changes explain the data as well, there is no delay. If unknown voltages cannot cause all of the
+    remaining error, a missing effect may cause the delay; the result is then False.
 
     Args:
-        counted: Error with the number of changes whose delay is closest to the one found.
+        counted: Error with the number of changes whose delay is closest to the estimated one.
         delayed: Error with the present number and a delay of the drives.
         criteria: Decision thresholds of `required_gain` and `voltages_may_cause`.
     """
@@ -146,7 +146,7 @@ def interpolation_suffices(simulated: Array) -> bool:
     not.
 
     Args:
-        simulated: Errors that those of the interpolation cause in simulations, in units of the noise of each
-            sensor, dimensionless, shape (sensors,); not finite where the simulation diverges.
+        simulated: Simulation errors that the interpolation causes, in units of the noise of each sensor,
+            dimensionless, shape (sensors,); not finite where the simulation diverges.
     """
     return bool(np.all(1.0 + simulated**2 < AS_GOOD))
