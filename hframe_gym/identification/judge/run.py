@@ -119,7 +119,7 @@ def explains_all_runs(chi2: float, variance: float, criteria: SelectionCriteria)
 
 
 def explains_by_run(by_run: FitError, common: FitError, criteria: SelectionCriteria) -> bool:
-    """Return whether a quantity with a separate value in each run explains the runs, which one value does not.
+    """Return whether a quantity explains the runs only with a separate value in each run.
 
     The separate values must reduce the error by as much as an effect must. Otherwise, with an error just
     above what counts as explained, arbitrary differences would seem an explanation.

@@ -49,7 +49,7 @@ class FreeParameter:
             if it belongs to no table. Values of one table follow each other in order; the prior also
             penalizes their second differences.
         switch: Whether the parameter is a threshold: predictions change in steps as it changes. Derivatives
-            do not lead to its value, so a fit also tries values at a distance.
+            do not lead to the best value, so a fit also tries values at a distance.
     """
 
     name: str
@@ -63,7 +63,7 @@ class FreeParameter:
 
     @property
     def of_effect(self) -> bool:
-        """Whether it is a parameter of an effect, not of the machine itself."""
+        """Whether the parameter belongs to an effect, not to the machine itself."""
         return "@" in self.name  # the label of an effect is name@site
 
     @cached_property
@@ -92,7 +92,7 @@ class FreeParameter:
         return theta < low < 0.0 or 0.0 < high < theta
 
     def beyond_limit(self, theta: float) -> bool:
-        """Return whether `theta`, dimensionless, of another fit is out of reach of a fit from this center.
+        """Return whether a fit of this parameter could not reach a given `theta`, dimensionless.
 
         It is beyond 101 % of the way from 0 to the smallest or largest permitted value (`theta_limits`).
         """

@@ -41,7 +41,7 @@ _SWITCH_DIFFERENCE_STEP = 0.02
 
 
 def has_impacts(machine: Machine) -> bool:
-    """Check whether parts of a machine separate and collide, so that residuals are rugged in parameters.
+    """Check whether parts of a machine collide, so that residuals are not smooth functions of parameters.
 
     Args:
         machine: Machine with its effects, for example play.
@@ -67,13 +67,14 @@ def forward_differences(values: Array, step: float | Array) -> Array:
 
 @dataclass(frozen=True)
 class RunLinearization:
-    """Linearized residual of one run in units of the noise, without the part that a start's error explains.
+    """Linearized residual of one run in units of the noise; an error of the start is projected out.
 
     Attributes:
         jacobian: Derivatives with respect to k parameters, shape (k, rows).
         responses: Changes by m perturbations, shape (m, rows), or None.
         residual: Residual at the expansion point, shape (rows,).
-        projection: Removed from all of them what an error of the start explains; None if it explains nothing.
+        projection: The projection that removed what an error of the initial state explains; None if there is
+            nothing to remove.
     """
 
     jacobian: Array
@@ -153,7 +154,7 @@ class ResidualModel:
         return ExpansionPoint(self, theta, machine, uncertain_starts(machine, self.data.runs))
 
     def parameters(self, thetas: Array) -> Array:
-        """Return all parameters of the machines that a batch of theta describes.
+        """Convert a batch of theta to complete parameter vectors of the machine.
 
         Args:
             thetas: Dimensionless variables of the k free parameters, shape (batch, k).
@@ -168,8 +169,8 @@ class ResidualModel:
 
         Args:
             theta: Dimensionless variables of the k free parameters at the expansion point, shape (k,).
-            responses: Computes the changes of a run's residual by m further perturbations, such as other
-                voltages, from the run and its motion, shape (m, rows). Default: none.
+            responses: Function of a run and its motion that returns the changes of the residual by m further
+                perturbations, such as other voltages, shape (m, rows). Default: none.
 
         Returns:
             Normal equations (J^T J, shape (k, k), and J^T r, shape (k,), of Jacobian J and residual r) and
@@ -237,16 +238,16 @@ class ExpansionPoint:
     def residuals(
         self, run: PreparedRecording, changes: Array, *, states: bool = False
     ) -> tuple[Array, InitialStateProjection | None, Motion]:
-        """Predict one run at this point and after some changes of theta.
+        """Predict one run with the parameters of this point and with changed ones; return the residuals.
 
         Args:
             run: Run to predict, one of the data set.
             changes: Changes of theta, shape (m, k).
-            states: Whether the motion has the states as well.
+            states: Whether the returned motion includes positions and velocities.
 
         Returns:
-            Residuals, shape (1 + m, rows), and the projection that removed from them what an error of the
-            initial state can explain; the motions that they belong to.
+            Residuals, shape (1 + m, rows); the projection that removed what an error of the initial state can
+            explain; the predicted motions.
         """
         model, start = self.model, self.starts[run.name]
         motion = predict_with_displaced_starts(
@@ -284,7 +285,7 @@ class Linearization:
         return NormalEquations.total(self.by_run)
 
     def costs(self, thetas: Array) -> Array:
-        """Compute the costs of trial parameters by new predictions, not from the linearization.
+        """Compute the costs of trial parameters by new predictions instead of the linear model.
 
         The initial states, and the projection that removes what their errors explain, are those of the
         expansion point.

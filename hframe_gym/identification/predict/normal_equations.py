@@ -102,7 +102,7 @@ class NormalEquations:
 
     @property
     def finite(self) -> bool:
-        """Whether cost, J^T r and J^T J are finite; else a simulation near the expansion point diverges."""
+        """Whether cost, J^T r and J^T J are finite; they are not if a simulation diverges."""
         return bool(
             np.isfinite(self.cost)
             and np.isfinite(self.gradient).all()
@@ -110,7 +110,7 @@ class NormalEquations:
         )
 
     def with_added(self, response: int) -> NormalEquations:
-        """Return the products of the residual to which a unit amount of one perturbation is added.
+        """Return the normal equations after a unit amount of one perturbation is added to the residual.
 
         Args:
             response: Index of the perturbation.
@@ -124,11 +124,13 @@ class NormalEquations:
         )
 
     def of_some(self, parameters: NDArray[np.bool_], responses: NDArray[np.intp]) -> NormalEquations:
-        """Return the normal equations of some of the parameters and perturbations; the others are held.
+        """Return the normal equations for a subset of the parameters and perturbations.
+
+        The others stay fixed.
 
         Args:
-            parameters: True for those parameters, shape (k,).
-            responses: Indices of those perturbations, in their new order, shape (m,).
+            parameters: True for the parameters of the subset, shape (k,).
+            responses: Indices of the perturbations of the subset, in their new order, shape (m,).
         """
         return dataclasses.replace(
             self,
@@ -148,7 +150,7 @@ class NormalEquations:
         return self.cost + float(2.0 * step @ self.gradient + step @ self.information @ step)
 
     def least_cost(self, precision: Array) -> float:
-        """Return the cost with the best parameters theta, without their prior, of the linear model.
+        """Return the smallest cost that the linear model reaches, dimensionless, without the prior's penalty.
 
         Args:
             precision: Inverse covariance of the parameters' prior, dimensionless, shape (k, k).

@@ -122,7 +122,7 @@ def sensor_bandwidths(machine: Machine, bandwidth: float) -> Array:
 
 
 def innovation_variance(machine: Machine, data: Dataset, bandwidth: float) -> tuple[float, float]:
-    """Return the variance that innovations (errors before an observer's correction) of an exact machine have.
+    """Return the expected variance of an exact machine's innovations (errors before each correction).
 
     Args:
         bandwidth: Bandwidth of the observer, rad/s; 0 for a simulation, whose errors are the noise.
@@ -140,7 +140,9 @@ def innovation_variance(machine: Machine, data: Dataset, bandwidth: float) -> tu
 
 
 def sensor_innovation_variance(machine: Machine, period: float, bandwidth: float) -> Array:
-    """Return the innovations' variance of an exact machine / that of each sensor's noise, shape (sensors,).
+    """Return the expected innovation variance / noise variance of each sensor, shape (sensors,).
+
+    It holds for an exact machine.
 
     Args:
         period: Sampling period, s.
@@ -166,7 +168,7 @@ def _log_variance_with_voltage_errors(data: Dataset, bandwidth: float) -> float:
 
 
 def whitened(residual: Array, run: PreparedRecording, bandwidth: float) -> Array:
-    """Return a residual without the correlation that errors of interpolated voltages cause.
+    """Filter a residual so that errors of interpolated voltages leave no correlation in it.
 
     Args:
         residual: Residuals of a batch of predictions, in units of the noise, shape (batch, n * sensors).
@@ -312,10 +314,11 @@ def predict(
 
 
 def measurements_from(start: Array, machine: Machine, run: PreparedRecording) -> Array:
-    """Return the measurements of a run for an initial state other than the measured one.
+    """Return the measurements of a run, adapted to another initial state than the measured one.
 
     Encoders count from the initial position. If effects change what sensors measure, the position at the
-    start differs from the measured one, and the encoders measure that much more or less in all rows.
+    start differs from the measured one, and the encoders' measurements are shifted by this difference in all
+    rows.
 
     Args:
         start: Initial state: positions, m or rad, first, shape (coordinates or more,).
@@ -347,9 +350,9 @@ def mechanical_rows_per_block(data: Dataset) -> int:
 
 
 def block_size(seconds: float, machine: Machine, data: Dataset) -> int:
-    """Return how many values of the residual belong to a block of consecutive rows of a given duration.
+    """Return the number of residual values in a block of consecutive rows with a given duration.
 
-    Statistics that must permit correlation in time take such blocks, not single values, as independent.
+    Statistics that allow for correlation in time treat such blocks, not single values, as independent.
 
     Args:
         seconds: Duration of the block, s.

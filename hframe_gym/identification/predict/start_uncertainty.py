@@ -35,7 +35,7 @@ _UNMEASURED_POSITION = 2e-4  # m; standard deviation of a start that is estimate
 
 
 class UncertainStart(NamedTuple):
-    """State from which a run is predicted, and by how much it may be wrong.
+    """Initial state for the prediction of a run, with its uncertainty.
 
     Attributes:
         state: Positions (m, rad), velocities (m/s, rad/s), effect states (SI),
@@ -52,12 +52,12 @@ class UncertainStart(NamedTuple):
 
     @property
     def displaced_states(self) -> Array:
-        """The state plus each of these fractions of a displacement, SI, shape (displacements, state)."""
+        """The state after each displacement, scaled by `differences`, SI, shape (displacements, state)."""
         return self.state + self.differences[:, None] * self.displacements
 
 
 def uncertain_starts(machine: Machine, runs: Sequence[PreparedRecording]) -> dict[str, UncertainStart]:
-    """Return where predictions of runs by a machine start, and by how much these states may be wrong.
+    """Return the initial state of each run for predictions by a machine, with its uncertainty.
 
     Args:
         machine: Machine that predicts; its effects also determine the state.
@@ -176,7 +176,7 @@ def _added_displacements(machine: Machine) -> Array:
 
 
 def effect_state_spreads(machine: Machine) -> Array:
-    """Return the standard deviation of the state that each effect has at the start of a run.
+    """Return the standard deviations of the effects' internal states at the start of a run.
 
     Returns:
         Standard deviations, SI, in the order of the effects' states, shape (effect states,); 0 for a state
@@ -208,7 +208,7 @@ def _rigid_displacements(machine: Machine, initial: InitialState, held_angles: d
 
 @dataclass(frozen=True)
 class InitialStateProjection:
-    """Projection to remove from residuals what an uncertain initial state, such as a belt stretch, explains.
+    """Projection that removes from residuals what an uncertain initial state (a belt stretch) explains.
 
     The squared norm of a projected residual r is the minimum over w of |r - C w|^2 + |w|^2, where the columns
     of C are the changes of r by displacements of the initial state, each of the size of one standard
@@ -233,8 +233,8 @@ class InitialStateProjection:
         """Build the projection from the residuals of predictions that start from displaced states.
 
         Args:
-            residual: Residual of the prediction from the state as it is, in units of the noise,
-                shape (rows,).
+            residual: Residual of the prediction from the undisplaced state, in units of the noise, shape
+                (rows,).
             displaced: Residuals of predictions from `UncertainStart.displaced_states`,
                 shape (displacements, rows).
             differences: The fractions of the displacements that these states have, shape (displacements,).
@@ -263,7 +263,7 @@ class InitialStateProjection:
         return np.subtract(residual, projected_rows, out=projected_rows)
 
     def costs(self, residual: Array) -> Array:
-        """Return the sum of squares of each projected residual, shape (batch,), and not these themselves.
+        """Return the sum of squares of each residual after the projection, shape (batch,).
 
         Args:
             residual: Residuals of a batch of predictions, in units of the noise, shape (batch, rows).
@@ -274,10 +274,10 @@ class InitialStateProjection:
 
 
 def probable_amounts(residual: Array, displaced: Array, differences: Array) -> Array:
-    """Return by how much of each displacement the start of a run most probably differs from the measured one.
+    """Estimate the most probable displacement of a run's start from the measured initial state.
 
     Args:
-        residual: Residual of the prediction from the state as it is, in units of the noise, shape (rows,).
+        residual: Residual of the prediction from the undisplaced state, in units of the noise, shape (rows,).
         displaced: Residuals of predictions from `UncertainStart.displaced_states`,
             shape (displacements, rows).
         differences: The fractions of the displacements that these states have, shape (displacements,).

@@ -66,7 +66,7 @@ _DRAWS = 8  # of voltage errors, for their effect on simulations: their rms is 1
 
 
 def interpolation_variance(inputs: Array) -> Array:
-    """Return the variance of the error of the mean voltage between rows, if voltages are interpolated.
+    """Estimate the error variance of mean voltages between rows that are interpolated from the rows.
 
     Args:
         inputs: Voltages in the rows, V, shape (n, drives).
@@ -81,11 +81,11 @@ def interpolation_variance(inputs: Array) -> Array:
 
 
 def mean_voltage_variance(run: PreparedRecording) -> Array:
-    """Return the variance of the error of the mean voltage from each row of a run to the next.
+    """Estimate the error variance of the mean voltage from each row of a run to the next.
 
-    A controller whose clock jitters also answers the jitter of the steps between the rows, as it does that of
-    the rows. Of n changes a row, n - 1 have such an answer, each for an n-th of the row; no row shows it, and
-    the third differences of voltages without the answers of the rows do not either.
+    It is that of the interpolation, plus a part for jitter: a controller also answers the jitter of its clock
+    in the steps between the rows. Of n changes per row, n - 1 contain such an answer, each for an n-th of the
+    row, which neither the rows nor the third differences of the voltages show.
 
     Args:
         run: Run whose voltages change between the rows.
@@ -101,7 +101,7 @@ def mean_voltage_variance(run: PreparedRecording) -> Array:
 
 
 def with_voltage_errors(machine: Machine, data: Dataset) -> Dataset:
-    """Return a data set whose residuals take the errors of interpolated voltages into account.
+    """Copy a data set so that its residuals take the errors of interpolated voltages into account.
 
     Args:
         machine: Machine, refitted to these runs, that shows how predictions respond to voltages.
@@ -118,7 +118,7 @@ def with_voltage_errors(machine: Machine, data: Dataset) -> Dataset:
 
 
 def expected_excess(machine: Machine, data: Dataset, bandwidth: float) -> float:
-    """Return what errors of interpolated voltages add to an exact machine's chi-squared, dimensionless.
+    """Return the chi-squared, dimensionless, that errors of interpolated voltages add for an exact machine.
 
     Args:
         machine: Machine, refitted to these runs.
@@ -175,7 +175,7 @@ def simulation_error(machine: Machine, data: Dataset) -> Array:
 
 
 class Whitening(NamedTuple):
-    """What makes the residual of a run white: its blocks of rows, given the rows before them.
+    """Filter that makes the residual of a run white, block by block, given the rows before each block.
 
     Attributes:
         factors: Inverse Cholesky factor of each block, in single precision to save memory, dimensionless,
@@ -188,7 +188,7 @@ class Whitening(NamedTuple):
 
     @classmethod
     def of(cls, responses: sparse.csr_array, variance: Array) -> Whitening:
-        """Return the whitening of a residual of n rows, shape (n * sensors,).
+        """Compute the whitening filter for a residual of n rows, shape (n * sensors,).
 
         Args:
             responses: Change of the residual by errors of one standard deviation,
@@ -258,7 +258,7 @@ def _covariances(responses: sparse.csr_array, variance: Array, first: int, block
 
 
 class InterpolationErrors(VoltageErrors):
-    """Errors of the interpolated voltages of a run, and what they do to the residual (`VoltageErrors`)."""
+    """Errors of the interpolated voltages of a run, and their influence on the residual."""
 
     def __init__(self, machine: Machine, run: PreparedRecording, data: Dataset) -> None:
         # Pulses last from row to row: the response is that of held voltages.
@@ -288,7 +288,9 @@ class InterpolationErrors(VoltageErrors):
         return self.whitening(bandwidth).log_variance
 
     def whitening(self, bandwidth: float) -> Whitening:
-        """Return what makes the residual, shape (n * sensors,), white; it is computed once for each observer.
+        """Return the filter that makes the residual, shape (n * sensors,), white.
+
+        It is cached by bandwidth.
 
         Args:
             bandwidth: Bandwidth of the observer, rad/s.

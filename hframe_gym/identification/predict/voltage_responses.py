@@ -1,4 +1,4 @@
-"""How predictions respond to the voltages of single rows, which a log lacks or has with an error."""
+"""Responses of predictions to the voltages of single rows, which may be missing or wrong in a log."""
 
 from __future__ import annotations
 

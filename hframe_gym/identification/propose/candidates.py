@@ -103,7 +103,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class SearchState:
-    """What the search knows when it proposes effects: the argument of a strategy.
+    """State of a search: the argument of the strategies that propose effects.
 
     Attributes:
         machine: Machine with the effects that have been selected so far.
@@ -112,7 +112,7 @@ class SearchState:
         missing_force: By coordinate name, an array of shape (n, 3) over all rows of all runs with the columns
             position, velocity and missing force (the force that the model lacks): m, m/s, N or rad, rad/s,
             Nm. The runs follow each other as in `data.runs`.
-        slow: Whether a narrow observer shows errors that change slowly.
+        slow: Whether an observer of small bandwidth is used, which shows slowly changing errors.
         sensor_errors: By channel of the sensors of positions, an array of shape (n, 3) with the columns
             position, velocity and error of the sensor (`missing_force.sensor_errors`). The strategy `library`
             proposes no periodic errors of other sensors.
@@ -127,7 +127,7 @@ class SearchState:
 
     @classmethod
     def of(cls, fitted: Fit, data: Dataset) -> SearchState:
-        """Return what the search knows after a fit.
+        """Create the state of a search from a fit.
 
         Args:
             fitted: Fit of the machine with the effects that have been selected so far.
@@ -146,13 +146,13 @@ class SearchState:
         )
 
     def sites(self, effect: Effect) -> tuple[str, ...]:
-        """Return the sites at which the machine may lack an effect, and where a strategy may propose it.
+        """Return the components at which a strategy may propose an effect.
 
-        There is none for effects that replace a part of the model (they add coordinates or replace dry
-        friction), which `structures.screen_structures` tries. An effect that a refit of the machine's
-        parameters can represent has sites only where an effect that all drives share follows it: with a dead
-        band for all drives, a gain of one drive before it cannot be replaced by this drive's torque constant
-        behind it. Left out are sites where the machine has the effect, or lacks another one that it requires.
+        There are none for effects that replace a part of the model (they add coordinates or replace dry
+        friction), which `structures.screen_structures` tries. For an effect that a refit of the machine's
+        parameters can represent, there are only sites where an effect shared by all drives follows it: before
+        a shared dead band, for example, the drive's gain has another influence than its torque constant.
+        Components are left out where the machine has the effect, or lacks another one that it requires.
         """
         if effect.replaces_model_part:
             return ()
@@ -172,21 +172,21 @@ class SearchState:
         return shared and site != "drives" and len(self.machine.drives) > 1
 
     def sizes(self, effect: Effect, site: str) -> Mapping[str, float]:
-        """Return typical sizes, SI, at a site of an effect, by parameters' unit (`TypicalScales.of`)."""
+        """Return the typical sizes of quantities for an effect at a component, SI, by unit."""
         return _scales_at(effect, site, self.machine, self.scales)
 
     def unexplained(self, effect: Effect, site: str) -> Array:
-        """Return position, velocity and what the model lacks where an effect acts, shape (n, 3).
+        """Return position, velocity and unexplained error at the component of an effect, shape (n, 3).
 
-        What it lacks is the error of the sensor (`sensor_errors`) for an effect of a sensor, otherwise the
-        force at the coordinate on which the effect acts (`missing_force`). No rows if it is not known.
+        For an effect of a sensor it is the sensor's error (`sensor_errors`), otherwise the missing force on
+        the coordinate on which the effect acts (`missing_force`). There are no rows if it is unknown.
         """
         if effect.site == "sensor":
             return self.sensor_errors.get(site, np.zeros((0, 3)))
         return self.missing_force[self.machine.coordinate_of_site(site, effect.site) or ""]
 
     def covers(self, effect: Effect, site: str, values: Mapping[str, float]) -> bool:
-        """Return whether the runs can show an effect with given values of parameters, see `coverage`.
+        """Return whether the runs can determine an effect with given parameter values, see `coverage`.
 
         Args:
             effect: Effect at the site.
@@ -227,7 +227,7 @@ def candidates(state: SearchState) -> list[Candidate]:
     """Return what all strategies propose: effects that the machine may lack, at sites, with starting values.
 
     Args:
-        state: What the search knows.
+        state: State of the search.
 
     Returns:
         Candidates, those of one strategy after those of another, in the order of the strategies' names.
@@ -277,7 +277,9 @@ def _columns(
 
 
 def covered_by_runs(parameter: EffectParameter) -> bool:
-    """Return whether the motion of the runs limits what a parameter of an effect may be, see `coverage`.
+    """Return whether the motion of the runs limits the values of a parameter that they can determine.
+
+    See `coverage`.
 
     Returns:
         True for periods and rates, speed scales, and time constants of changes over the session.
@@ -288,10 +290,10 @@ def covered_by_runs(parameter: EffectParameter) -> bool:
 
 
 def coverage(parameter: EffectParameter, scales: Mapping[str, float]) -> tuple[float, float]:
-    """Return between which values the runs can show a parameter of an effect.
+    """Return the smallest and largest value of an effect's parameter that the runs can determine.
 
-    A period longer than the travel cannot be told from a slope, a speed scale above the highest speed from
-    viscous friction, a time constant longer than the session from a linear change.
+    A period longer than the travel cannot be distinguished from a slope, a speed scale above the highest
+    speed from viscous friction, a time constant longer than the session from a linear change.
 
     Args:
         scales: Typical sizes at its component, by unit (`TypicalScales`).

@@ -1,4 +1,4 @@
-"""How much of a missing force, or of the disagreement of sensors, a cause explains in other runs.
+"""Compute how much of a missing force, or of a disagreement of sensors, a cause explains in other runs.
 
 What refitted parameters can absorb (forces in proportion to accelerations, velocities, directions, voltages)
 is removed from force and curves alike. The curve of a cause is fitted to all runs but one and then compared
@@ -35,14 +35,14 @@ Columns = Array  # curve at the rows of all runs, one column per coefficient, sh
 
 
 class Cause(NamedTuple):
-    """Cause that may explain the missing force or the disagreement.
+    """Possible cause of a missing force or of a disagreement of sensors: curves over one variable.
 
     Attributes:
-        component: Where it acts.
+        component: Component on which the cause acts.
         variable: Name of its variable.
         coordinate: The component's coordinate.
-        parts: Its curves: forces on a coordinate (index) or errors of a sensor (index); with one set of
-            coefficients. With an index of None, all channels have the curve, each with other coefficients.
+        parts: Curves with common coefficients, each a force on a coordinate (index) or an error of a sensor
+            (index). With the index None, the curve applies to all channels, each with separate coefficients.
     """
 
     component: str
@@ -52,11 +52,11 @@ class Cause(NamedTuple):
 
 
 class Signals:
-    """Everything that causes depend on, at the rows of all runs that are compared.
+    """The variables on which causes may depend, at those rows of all runs that are compared.
 
     Args:
         machine: Machine that predicts.
-        motions: What its predictions say about each run.
+        motions: Missing forces and motion of each run.
         rate_hz: Rate of the rows that are compared, Hz.
         filtered: Whether forces below 30 Hz are compared.
     """
@@ -86,7 +86,7 @@ class Signals:
         return self._variables[name]
 
     def compared(self, columns: Columns, lag: tuple[Array, Array] | None = None) -> Columns:
-        """Return columns, shape (rows of all runs, k), at the n rows that are compared, shape (n, k).
+        """Select, from columns at all rows, shape (rows of all runs, k), the n compared rows, shape (n, k).
 
         Args:
             lag: Numerator and denominator of a filter that is applied first, shape (order + 1,) each.
@@ -98,7 +98,7 @@ class Signals:
         return self.thinned(by_run)
 
     def thinned(self, by_run: list[Array]) -> Array:
-        """Return signals at the n rows that are compared, and below 30 Hz if the forces are, shape (n, k).
+        """Select the n compared rows of signals, shape (n, k); filter below 30 Hz if forces are filtered.
 
         Args:
             by_run: Signals at all rows of each run, shape (rows of the run, k).
@@ -108,7 +108,7 @@ class Signals:
         return np.concatenate([values[rows] for values, rows in zip(by_run, self._kept, strict=True)])
 
     def filtered(self, name: str, filter_of_run: Callable[[Array], Array]) -> Array:
-        """Return what a filter makes of a variable, shape (rows, k).
+        """Apply a filter to a variable, run by run, and cache the result, shape (rows, k).
 
         Args:
             filter_of_run: Filter of one run, from shape (rows of the run,) to (rows of the run, k).
@@ -116,7 +116,10 @@ class Signals:
         return np.concatenate([filter_of_run(self._variables[name][rows]) for rows in self._slices])
 
     def pieces(self) -> NDArray[np.int64]:
-        """Return the first compared row of each piece, shape (pieces,): runs, or parts of few runs."""
+        """Return the index of the first compared row of each piece, shape (pieces,).
+
+        A piece is a run, or a part of a run if there are few runs.
+        """
         each = max(1, -(-_PIECES // len(self._kept)))
         firsts, first = [], 0
         for rows in self._kept:
@@ -125,21 +128,20 @@ class Signals:
         return np.array(firsts)
 
     def run_constants(self) -> Array:
-        """Return a column per run that is 1 in it and 0 elsewhere, at n compared rows, shape (n, runs)."""
+        """Return indicator columns of the runs: 1 in the run's compared rows, else 0, shape (n, runs)."""
         lengths = [len(rows) for rows in self._kept]
         return np.repeat(np.eye(len(lengths)), lengths, axis=0)
 
 
 class Unexplained(NamedTuple):
-    """Forces or disagreements that a machine does not explain, and how they depend on a cause.
+    """Unexplained forces or disagreements of sensors, and their response to causes.
 
     Attributes:
         values: Forces or disagreements at the compared rows, shape (n, channels).
-        noise: The part of them that noise causes, same shape.
+        noise: Part of the values that noise causes, same shape.
         prompt: The same values without the lag of `filters`, to find periods and resonances, same shape.
         directions: Value of each channel per unit of a cause at each index, shape (channels, indices).
-        filters: Numerator and denominator of the filter by which each channel follows causes; None if at
-            once.
+        filters: Numerator and denominator of the filter from causes to each channel; None if there is no lag.
     """
 
     values: Array
@@ -150,7 +152,7 @@ class Unexplained(NamedTuple):
 
 
 class CauseComparison:
-    """Comparison of causes with what a machine does not explain, without what refits absorb of it.
+    """Comparison of causes with unexplained forces or disagreements, beyond what a refit would absorb.
 
     Args:
         signals: Variables, and the rows that are compared.
@@ -190,11 +192,11 @@ class CauseComparison:
         return np.stack(columns, axis=1)
 
     def direction(self, index: int) -> Array:
-        """Return the value of each channel per unit of a cause at an index, shape (channels,)."""
+        """Return the response of each channel to a unit force or error at `index`, shape (channels,)."""
         return self._directions[:, index]
 
     def target(self, index: int) -> Array:
-        """Return what a cause at an index has to explain, without lag, shape (n,)."""
+        """Return the values that a cause at `index` should explain, without lag, shape (n,)."""
         return self._prompt @ self.direction(index)
 
     def _designs(self, cause: Cause) -> list[Array]:
@@ -214,16 +216,16 @@ class CauseComparison:
         return designs
 
     def explained(self, cause: Cause) -> tuple[float, float, float]:
-        """Return how much of the forces or disagreements a cause explains, in units of their noise.
+        """Compute how much of the unexplained values a cause explains, in units of their noise.
 
         Args:
-            cause: Signals, of which the linear combination that explains most is fitted.
+            cause: Cause, of whose curves the best linear combination is fitted.
 
         Returns:
             reduction: Reduction of the sum of squares in pieces of the runs to which the cause was not
             fitted. certain: The reduction minus its standard error, from the differences between the pieces.
-            fraction: What the cause explains, fitted to all pieces, over what noise does not; without what it
-                explains of the noise.
+            fraction: Explained part of the values beyond noise, with a fit to all pieces; what the cause
+            explains of the noise is subtracted.
         """
         designs = self._designs(cause)
         squares, products = [], []

@@ -39,7 +39,7 @@ _LAGS_S = (0.005, 0.02, 0.05)  # time constants of what belts do after a change 
 def causes_of_force(
     machine: Machine, comparison: CauseComparison, directions: Array, deviating: NDArray[np.bool_]
 ) -> Iterator[Cause]:
-    """Yield causes that are forces: on each coordinate, by each drive, by both drives, and the clock.
+    """Yield possible causes of the missing force: at each coordinate, each drive, all drives, and the clock.
 
     Args:
         comparison: Comparison with the missing force.
@@ -148,10 +148,10 @@ def _clock(machine: Machine, signals: Signals, acting: list[int]) -> Cause:
 def causes_of_disagreement(
     machine: Machine, comparison: CauseComparison, deviating: NDArray[np.bool_]
 ) -> Iterator[Cause]:
-    """Yield causes by which sensors disagree: an error of one, play or slip behind a motor, creeping belts.
+    """Yield possible causes of disagreeing sensors: a sensor error, play or slip behind a motor, belt creep.
 
     Args:
-        comparison: Comparison with what the sensors disagree about.
+        comparison: Comparison with the disagreement.
         deviating: Sensors that show more than noise, shape (sensors,).
     """
     signals = comparison.signals

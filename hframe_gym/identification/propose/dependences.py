@@ -1,4 +1,4 @@
-"""Rank the causes on which the force that a machine lacks, or its sensors' disagreement, depends: a hint."""
+"""Rank possible causes of a missing force, or of a disagreement of sensors, as a hint for the user."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Dependence(NamedTuple):
 
 
 def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
-    """Rank the causes of the force that the model lacks and of what the sensors disagree about, as a hint.
+    """Rank possible causes of the missing force and of the sensors' disagreement, as a hint for the user.
 
     Args:
         machine: Machine that predicts, with its parameters fitted.
@@ -148,16 +148,17 @@ _SENSOR_HOOKS = {"measurement", "measurement_delay"}
 def agree_with_causes(
     effects: Sequence[AppliedEffect], ranked: Sequence[Dependence], machine: Machine
 ) -> bool:
-    """Return whether effects act where the missing force comes from (`rank_dependences`, without formulas).
+    """Return whether selected effects agree with the causes of the missing force (`rank_dependences`).
 
-    An effect agrees with a cause if it acts on the same component, and its formula depends on the same kind
-    of variable, or on none if the cause is a constant force. An effect of a sensor agrees with none: belts
-    that slip imitate a wrong scale, and a true error of a sensor leaves no missing force.
+    The causes are found without the effects' formulas. An effect agrees with a cause if it acts on the same
+    component, and its formula depends on the same kind of variable, or on none if the cause is a constant
+    force. An effect of a sensor agrees with no cause: belts that slip imitate a wrong scale, and a true error
+    of a sensor leaves no missing force.
 
     Args:
         effects: Effects that the search selected.
-        ranked: Causes of the force that the machine without them lacks, the strongest first.
-        machine: Machine without them.
+        ranked: Causes of the force that is missing without the effects, the strongest first.
+        machine: Machine without the effects.
 
     Returns:
         True if an effect agrees with the strongest cause, and each effect with one of them.

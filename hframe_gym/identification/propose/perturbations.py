@@ -1,4 +1,4 @@
-"""What candidate effects would do along the motion of a fitted machine: forces, and changes of measurements.
+"""Forces and changes of measurements that candidate effects cause along the motion of a fitted machine.
 
 They are computed for the motion as it is, without a simulation of the machine with the effect.
 """
@@ -59,7 +59,7 @@ class PerturbedMachine(NamedTuple):
 
 
 def perturbed_machines(machine: Machine, candidates: Sequence[Candidate]) -> list[PerturbedMachine]:
-    """Return the machine with each of some effects, for `candidate_perturbations` along several motions.
+    """Create machines with candidate effects, for `candidate_perturbations` along several motions.
 
     Args:
         candidates: Candidate effects. Successive ones with the same effect and site are variants of one
@@ -98,7 +98,7 @@ class Unperturbed:
 
     Attributes:
         motion: The motion.
-        known: The same, for the forces of machines with one more effect.
+        known: The motion, prepared to compute forces of machines with one more effect.
         forces: Net force on each coordinate, N or Nm, shape (n,).
         time_s: Sample times, s, shape (n,).
         readings: Ideal reading of each sensor, in its unit, shape (n,) each.

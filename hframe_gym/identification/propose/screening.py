@@ -67,11 +67,11 @@ class ScoredCandidate(NamedTuple):
 
 
 class Resemblance(NamedTuple):
-    """An effect that moves the machine in the recorded runs nearly as another one does.
+    """An effect that the recorded runs hardly distinguish from another one.
 
     Attributes:
-        effect: The effect, with the parameters with which it resembles the other one most.
-        loss: Increase of chi-squared if it takes the place of the other one, to first order.
+        effect: The effect, with the parameters that make it most similar to the other one.
+        loss: Increase of chi-squared if it replaces the other one, to first order.
     """
 
     effect: AppliedEffect
@@ -90,13 +90,11 @@ class Screening:
         fit: Fit of the machine without the candidates; they are evaluated at its observer bandwidth.
         data: Runs that were fitted.
         candidates: Effects, sites (components) and starting values to compare.
-        removable: Labels (name@site) of effects of the machine of which it is known what their removal
-            changes.
+        removable: Labels (name@site) of the machine's effects that may be removed.
         compared: Labels of effects of the machine that the candidates may resemble.
         equations: Normal equations of the linearized residual. Besides derivatives by the free parameters,
-            they have responses, in this order: what the removal of each effect in `removable` changes in a
-            machine that is otherwise the same, then each effect in `compared`, then the basis functions of
-            the candidates.
+            they have responses, in this order: the changes by the removal of each effect in `removable`, each
+            effect in `compared`, and the basis functions of the candidates.
     """
 
     fit: Fit
@@ -156,7 +154,7 @@ class Screening:
         return self._ranked(self.equations, self.fit.free)[0]
 
     def in_place_of(self, label: str) -> tuple[list[ScoredCandidate], float]:
-        """Rank the candidates by the same reduction, from the machine without one of the removable effects.
+        """Rank the candidates for the place of one removable effect, starting from the machine without it.
 
         Args:
             label: Label of the effect.
@@ -174,13 +172,12 @@ class Screening:
         return others, least_cost - self.equations.cost
 
     def resembling(self, label: str) -> list[Resemblance]:
-        """Find the candidates that these runs hardly distinguish from one of the compared effects.
+        """Find the candidates that the recorded runs hardly distinguish from one of the compared effects.
 
-        What the effect changes in the predictions is a regressor over the recorded motion, as is every basis
-        function of the candidates; what the machine's free parameters can reproduce of them is removed. The
-        part of the effect's regressor that a candidate's cannot represent is what the runs show of the
-        difference between both. In a single sine, for example, position and speed are one variable, at
-        constant speed position and time are.
+        The changes of the predictions by the effect and by each basis function are compared, after removing
+        what the machine's free parameters can reproduce. The loss is the part of the effect's change that a
+        candidate cannot represent. If the motion is a single sine, for example, position and speed cannot be
+        distinguished; at constant speed, position and time cannot.
 
         Args:
             label: Label of the effect.
@@ -257,10 +254,10 @@ class Screening:
 
 
 class LimitedResidual:
-    """Linearized residual of a fit whose parameters would leave their limits to reduce it.
+    """Linearized residual of a fit whose free parameters stay within their limits.
 
-    Without limits, a parameter that is at one would go on beyond it, and take what a candidate explains: a
-    back-EMF of 0, for example, what a bridge does that lets its motor coast.
+    Without limits, a parameter that is at its limit could move beyond it and reproduce what a candidate
+    explains: a negative back-EMF, for example, would replace a bridge that lets its motor coast.
 
     Args:
         equations: Normal equations with k free parameters; the basis functions of candidates are the
@@ -283,7 +280,7 @@ class LimitedResidual:
     def where_in_the_way(
         cls, equations: NormalEquations, precision: Array, free: Sequence[FreeParameter], theta: Array
     ) -> LimitedResidual | None:
-        """Return the linearized residual with the free parameters' limits; None if none is in the way.
+        """Return the linearized residual with limits, or None if no free parameter reaches its limits.
 
         Args:
             equations: Normal equations with k free parameters.
@@ -304,7 +301,7 @@ class LimitedResidual:
         return float(2.0 * step @ gradient + step @ self._hessian @ step)
 
     def gain_of(self, column: int) -> float:
-        """Return the reduction of the cost, dimensionless, by one response as it is."""
+        """Return the reduction of the cost, dimensionless, by a unit amount of one response."""
         equations = self._equations
         of_parameters = equations.gradient + equations.cross_products[:, column]
         step = minimum_within(self._hessian, of_parameters, self._low, self._high)
@@ -324,7 +321,7 @@ class LimitedResidual:
     def best_amounts(
         self, columns: NDArray[np.intp], ridge: Array, low: Array, high: Array
     ) -> tuple[Array, float]:
-        """Return the amounts of b responses that reduce the cost most, shape (b,), and by how much.
+        """Return the amounts of b responses, shape (b,), that reduce the cost most, and the reduction.
 
         Args:
             columns: Indices of the responses, shape (b,).
@@ -341,7 +338,7 @@ class LimitedResidual:
         return step[len(self._low) :], self._least - float(2.0 * step @ slope + step @ both @ step)
 
     def information(self, columns: NDArray[np.intp]) -> Array:
-        """Return the products of b responses, dimensionless, shape (b, b).
+        """Return the inner products of b responses, dimensionless, shape (b, b).
 
         Args:
             columns: Indices of the responses, shape (b,).
@@ -401,7 +398,7 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[Sco
 
 
 def screening_model(fit: Fit, data: Dataset) -> ResidualModel:
-    """Return the residual of a fit with rows combined to blocks that are short for mechanical effects."""
+    """Return the residual model of a fit, with rows combined to short blocks to save time."""
     return ResidualModel(
         fit.machine, fit.free, data, fit.bandwidth, rows_per_block=mechanical_rows_per_block(data)
     )

@@ -48,7 +48,7 @@ _TRIAL_ITERATIONS, _TRIAL_TOLERANCE = 8, 1e-3  # a trial need not converge fully
 
 
 class ScreenedFit(NamedTuple):
-    """A fit with its candidates, for the next effect as well as for others in place of those that it has.
+    """A fit with its candidates, for adding the next effect and for replacing present ones.
 
     Attributes:
         scales: Typical sizes on the machine.
@@ -61,11 +61,10 @@ class ScreenedFit(NamedTuple):
 
 
 def screened_fit(current: Fit, data: Dataset, without: Mapping[str, Machine] | None = None) -> ScreenedFit:
-    """Propose candidates to a fitted machine, and linearize the residual with them.
+    """Propose candidates for a fitted machine, and linearize the residual with respect to them.
 
-    A drive that begins each run in an unknown state, such as the heat of its winding, has another gain in
-    each run. In simulation, that would describe each run by itself, and no other one; an observer leaves
-    little to describe so.
+    In simulation, effects of drives that begin each run in an unknown state, such as the heat of a winding,
+    are left out: with another gain in each run, they would describe each run separately.
 
     Args:
         current: Fit of the machine.
@@ -213,17 +212,17 @@ def structural_trial_fits(
 
 
 def best_error(trials: list[Fit]) -> FitError | None:
-    """Return the smallest error of some trials, None without trials."""
+    """Return the smallest error among trials; None without trials."""
     return min(trials, key=lambda trial: trial.cost).error if trials else None
 
 
 def indistinguishable(screened: ScreenedFit, label: str, largest_loss: float) -> list[AppliedEffect]:
-    """Return the effects that may take the place of an effect of the machine, as far as these runs show.
+    """Return the effects that these runs cannot distinguish from an effect of the machine.
 
     Args:
         screened: Fit of the machine with all effects, and its candidates.
-        label: Label of one of the effects. There is no answer for an effect that adds coordinates or replaces
-            dry friction, or that another effect requires.
+        label: Label of one of the effects. The result is empty for an effect that adds coordinates or
+            replaces dry friction, or that another effect requires.
         largest_loss: Increase of chi-squared, dimensionless, to first order, up to which the runs do not
             distinguish effects.
 
@@ -279,10 +278,9 @@ def replacement_fit(
         criteria: Decision threshold `linear_gain_ratio`.
 
     Returns:
-        Fit without the effect, and the converged fit with the other one: machine, k parameters (theta,
-        dimensionless, shape (k,)) and cost (chi-squared), which may be higher than that of `current`: the
-        caller compares them. None if no other effect promises (linearized) at least the fraction
-        `linear_gain_ratio` of what the effect reduces the cost by, or if the effect cannot be removed.
+        Fit without the effect, and the converged fit with the other one, whose cost may be higher than that
+        of `current`. None if the effect cannot be removed, or if no other effect has a linearized gain of at
+        least the fraction `linear_gain_ratio` of the effect's gain.
     """
     if label not in screened.screening.removable:
         return None
@@ -455,7 +453,8 @@ def fit_with_effects(current: Fit, effects: Sequence[AppliedEffect], data: Datas
 def start_with_effects(current: Fit, effects: Sequence[AppliedEffect]) -> Machine:
     """Return the machine from which a fit with more effects starts.
 
-    With a structural effect, that has the declared parameters, because the present ones compensate for it.
+    If an effect is structural, it has the declared parameters, because the present ones compensate for the
+    missing effect.
 
     Args:
         current: Fit without the effects.

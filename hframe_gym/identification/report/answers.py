@@ -1,4 +1,4 @@
-"""Answers to what a reader of the page of a result asks first."""
+"""Answers to the first questions of a reader of the report."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ _NAMED_CHANGES = 3  # Parameters that are named, those first that changed most.
 def answers(
     saved: SavedResult, effects: Sequence[EffectRow], runs: Sequence[str], step: str
 ) -> dict[str, list[str]]:
-    """Answer the five questions that a reader of the page has first.
+    """Answer the five first questions of a reader of the report page.
 
     Args:
         runs: Names of the held-out runs, the worst first.
-        step: The first of the next steps, in words.
+        step: The most important next step, in words.
 
     Returns:
         Sentences by question, in the order of the page: what is wrong, how sure that is, how much is left, on
@@ -107,7 +107,7 @@ def _certainty(saved: SavedResult, effects: Sequence[EffectRow]) -> list[str]:
 
 
 def removed_by_effects(report: Report) -> list[str]:
-    """Return how much of the simulation error the effects remove, and why it is little, if it is."""
+    """Return sentences on how much of the simulation error the effects remove, and why, if it is little."""
     if (explained := report.explained) is None:
         return []
     removed = (

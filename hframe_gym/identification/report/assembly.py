@@ -51,9 +51,9 @@ def build_result(
         delivered: The outcome with its machines and their errors.
         found: Outcome of the search, with the held-out runs that contradict the fitted ones.
         remarks: What the user should know about the runs, one sentence each.
-        differences: What differs between the runs. If that explains their error, no variable is listed on
-            which the missing force depends: it would only follow what differs.
-        unstable: Whether an unstable motion is the cause of the simulation error that is left.
+        differences: Differences between the runs. If they explain the error, no variables are listed on which
+            the missing force depends, because these would only reflect the differences.
+        unstable: Whether an unstable motion causes the remaining simulation error.
     """
     evaluated = delivered.evaluated
     outcome, selected = evaluated.outcome, evaluated.selected

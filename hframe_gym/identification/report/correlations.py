@@ -23,7 +23,7 @@ _MIN_ROWS = 50
 
 
 def correlation(first: Array, second: Array, lags: int) -> Array:
-    """Return the correlation of two signals without their means, the second one later.
+    """Return the correlation of two signals, without their means, over the lag of the second one.
 
     Args:
         first: Values, any unit, shape (n,); 0 is assumed in place of NaN.
@@ -61,11 +61,11 @@ class ErrorCorrelations(NamedTuple):
     limit: float
 
     def outside(self) -> dict[str, float]:
-        """Return the fraction of the coefficients at later times that are outside the region, by name."""
+        """Return the fraction of coefficients at positive lags that exceed `limit`, by name of the signal."""
         return {name: float(np.mean(np.abs(r[1:]) > self.limit)) for name, r in self.values.items()}
 
     def panel(self) -> Panel:
-        """Return the plot of the correlations, with the region that holds 99 % of those of white noise."""
+        """Return the plot of the correlations, with the band that contains 99 % of those of white noise."""
 
         def draw(axes: Any) -> None:
             axes.axhspan(-self.limit, self.limit, color=color("muted"), alpha=0.3, lw=0)

@@ -36,7 +36,7 @@ def _drawn_machines(report: Report, curves: ResultCurves) -> dict[str, str]:
 
 
 def run_ratio(report: Report, curves: ResultCurves, run: str, stage: str = "after") -> float | None:
-    """Return a held-out run's simulation error over the sensors' noise, root mean square over the channels.
+    """Return a machine's simulation error / sensor noise on a held-out run, rms over the channels.
 
     Args:
         stage: Machine: "declared", "before", "after" or "plain".
@@ -65,7 +65,7 @@ def worst_first(report: Report, curves: ResultCurves) -> list[str]:
 
 
 def page_curves(report: Report, curves: ResultCurves) -> dict[str, Any]:
-    """Return what the script of the page draws, as content of a JSON document.
+    """Return the curves of the held-out runs as content of a JSON document, for the script of the page.
 
     Every run and channel has one set of rows for all its curves: the first of each interval of time, and
     those with the smallest and the largest error of the refitted and of the corrected machine, so that no

@@ -1,4 +1,4 @@
-"""What report.json contains: the one declaration by which it is written and read.
+"""The content of report.json, declared once for writing and reading.
 
 Fields with a default are missing in results of older versions. Text is for the user; labels are name@site.
 """
@@ -22,7 +22,7 @@ class ReportPart(BaseModel):
     model_config = ConfigDict(extra="ignore", strict=True)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the fields that were given, in the order in which they are declared."""
+        """Return the fields that have been set, as plain data, in the order of their declaration."""
         return self.model_dump(by_alias=True, exclude_unset=True)
 
 
@@ -44,13 +44,13 @@ class UnknownVoltages(ReportPart):
     """Voltages between the rows of a log that is slower than its controller, and their effect in simulation.
 
     Attributes:
-        commands: What changes between the rows, as `Machine.commands_in_words` says.
+        commands: Name of the inputs, such as "voltages" (`Machine.commands_in_words`).
         changes_per_row: How many times the controller changes them from one row to the next.
         period_s: Time from one change to the next, s.
         errors: Root mean square error of a simulation of the held-out runs that this alone causes, by
             channel, in the channel's unit.
-        fitted_by: What gave the parameters of the delivered machine: instruments (`fit.slow_logs`), or the
-            residual that the statistics of the voltages make white.
+        fitted_by: Method that fitted the delivered machine: instrumental variables (`fit.slow_logs`), or
+            least squares with a residual that the statistics of the voltages make white.
     """
 
     commands: str = "voltages"
@@ -79,9 +79,9 @@ class Evaluation(ReportPart):
     """Errors of a machine on the held-out runs: by channel, and `force_error` where the machine has one.
 
     Attributes:
-        missing_force_percent: Force that the machine lacks, of that of the drives, rms; None if it is not
-            known, or if the commands of the drives tell no force, as set points.
-        missing_force: The same in N or Nm.
+        missing_force_percent: Missing force in percent of the drives' force, rms; None if unknown, or if the
+            commands do not determine the force, as set points.
+        missing_force: The missing force in N or Nm.
     """
 
     held_out: dict[str, ChannelErrors | FiniteFloat]
@@ -101,19 +101,19 @@ class Evaluation(ReportPart):
 
     @property
     def noise_ratio(self) -> float | None:
-        """Error in multiples of the noise, rms of channels as `Report.left`; None if the machine diverges."""
+        """Ratio of simulation error to noise, rms over the channels; None if the machine diverges."""
         ratios = [error.noise_ratio for error in self.channels.values() if error.noise_ratio is not None]
         return math.sqrt(sum(ratio**2 for ratio in ratios) / len(ratios)) if ratios else None
 
     @property
     def percents_of_motion(self) -> list[float]:
-        """Errors of the channels that move, in percent of their motion."""
+        """Errors in percent of the motion, of each channel that moves."""
         percents = (error.percent_of_motion for error in self.channels.values())
         return [percent for percent in percents if percent is not None]
 
 
 class Plain(Evaluation):
-    """Errors of the plain fit, what it has beside inertia and friction, and whether it is delivered."""
+    """Errors of the plain fit, its terms beside inertia and friction, and whether it is delivered."""
 
     terms: list[str] = []
     delivered: bool = False
@@ -319,7 +319,7 @@ class Report(ReportPart):
 
     @property
     def machines(self) -> dict[str, Evaluation]:
-        """The machines with their errors, by key: those of `STAGES`, and "plain" if there is a plain fit."""
+        """All machines with their errors, by key: those of `STAGES`, and "plain" for a plain fit."""
         machines = {stage: getattr(self, stage) for stage in STAGES}
         return machines | ({"plain": self.plain} if self.plain else {})
 
@@ -329,9 +329,9 @@ class Report(ReportPart):
         return list(self.declared.channels)
 
     def noise_of(self, channel: str) -> float | None:
-        """Return the standard deviation of a sensor's noise, in the unit of its channel; None if unknown.
+        """Return the standard deviation of a sensor's noise, in the channel's unit.
 
-        It is not known if every machine diverges.
+        It is None if every machine diverges.
         """
         for stage in reversed(STAGES):
             error = self.machines[stage].channels[channel]
@@ -341,7 +341,7 @@ class Report(ReportPart):
 
 
 def compared_machines(report: Report) -> dict[str, str]:
-    """Return the machines that the report compares, with their labels, in the order in which they are shown.
+    """Return the machines that the report compares, with their labels, in the order of display.
 
     Returns:
         Labels by key of the machine: "declared"; "plain", if there is a plain fit; "before", the refitted

@@ -1,4 +1,4 @@
-"""Curves of the effects over their own variable, with the band of their parameters' covariance."""
+"""Curves of effects over the variable on which they depend, with the band of their uncertainty."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _SPEEDS = 8.0  # Largest speed drawn, in multiples of the speed that a parameter
 
 @dataclasses.dataclass(frozen=True)
 class EffectCurve:
-    """What an effect does, as a function of its own variable.
+    """Force, friction or voltage of an effect as a function of the variable on which it depends.
 
     Attributes:
         effect: The effect with its parameters.
@@ -32,8 +32,7 @@ class EffectCurve:
         quantity: Name of what is drawn with its unit, for example "friction on x, N".
         x: Values of the variable, SI, shape (n,).
         y: Values of the curve, SI, shape (n,).
-        std: Standard deviation of the curve, as far as it follows from that of the parameters, SI,
-            shape (n,).
+        std: Standard deviation of the curve due to that of the parameters, SI, shape (n,).
     """
 
     effect: AppliedEffect
@@ -68,10 +67,10 @@ class EffectCurve:
 
 
 def effect_curve(effect: AppliedEffect, machine: Machine, curves: ResultCurves) -> EffectCurve | None:
-    """Compute the curve of an effect over its own variable, in the range of the fitted runs.
+    """Compute the curve of an effect over the variable on which it depends, in the range of the fitted runs.
 
-    Drawn are the dry friction of a coordinate with the effect's change of it, the force of the effect, or its
-    change of a voltage.
+    The curve is the dry friction of a coordinate including the effect, the force of the effect, or its change
+    of a voltage.
 
     Args:
         effect: Effect of the identified machine.

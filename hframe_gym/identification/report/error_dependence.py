@@ -24,16 +24,16 @@ _SMOOTHED_S = 0.02
 
 
 def error_panels(report: Report, curves: ResultCurves, machine: Machine) -> list[Panel]:
-    """Prepare a plot of the error of each channel over its own value, and of a position also over its speed.
+    """Prepare plots of each channel's simulation error over its measurement, and of positions over speed.
 
-    Position and speed are measured, so that they do not depend on the machine that is judged. All held-out
-    runs count.
+    The measurements, not the simulated values, are used, so that the axes do not depend on the machine. All
+    held-out runs count.
 
     Args:
         machine: Identified machine.
 
     Returns:
-        The panels; none of a channel that does not move.
+        The panels; a channel that does not move has none.
     """
     panels = []
     of_position = {sensor.channel: sensor.of_position for sensor in machine.sensors}

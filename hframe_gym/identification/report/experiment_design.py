@@ -109,10 +109,10 @@ class ExperimentDesign:
 def design_discriminating_experiment(
     current: Fit, corrected: Machine, label: str, rivals: Sequence[AppliedEffect], data: Dataset
 ) -> ExperimentDesign | None:
-    """Design the run that decides between an identified effect and its best rival.
+    """Design a run whose measurements decide between an identified effect and its best rival.
 
     A rival is another effect that explains the same data equally well. Steps, sines and other voltages are
-    simulated with both machines. The run is the one on which their predictions differ most
+    simulated with both machines. The chosen run is the one on which their predictions differ most
     (`separate_machines`).
 
     Args:
@@ -315,7 +315,9 @@ def _unexplained_difference(
 
 
 def after_adaptation(jacobian: Array, difference: Array) -> Array:
-    """Return what remains of two predictions' difference if one's parameters adapt in their covariance.
+    """Return the difference of two predictions that remains after one machine's parameters adapt to it.
+
+    The parameters adapt within their covariance.
 
     Args:
         jacobian: Change of the difference by one standard deviation in each direction of the covariance,

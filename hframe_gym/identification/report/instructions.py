@@ -217,7 +217,7 @@ def _has_workspace(machine: Machine) -> bool:
 
 
 def next_command(verdict: str, machine: Machine, folder: Path) -> str:
-    """Return the command that the user should run after an identification, as a suggestion to print.
+    """Return the command that an identification proposes to the user as the next one.
 
     Args:
         verdict: "effect_found", "no_effect" or "unexplained".

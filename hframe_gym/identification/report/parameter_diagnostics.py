@@ -158,12 +158,12 @@ def _is_known(name: str) -> bool:
 
 
 def parameter_doubts(machine: Machine, declared: Machine) -> dict[str, list[str]]:
-    """List for each identified parameter why its value may be unreliable.
+    """List, for each identified parameter, the reasons why its value may be unreliable.
 
     The reasons are:
 
-    - The value is at a bound or at the limit of the fit. One beyond it, of a fit without limits, is not
-      doubted.
+    - The value is at a bound or at the limit of the fit. (A value beyond the limit comes from a fit without
+      limits and is not doubted.)
     - The data determine only weighted sums with other parameters. The following reasons are then not given.
     - The standard deviation is above 20 % of the value (of a phase: 0.3 rad), or above 60 % of that of the
       prior, so that the declared value determines the parameter more than the data do.

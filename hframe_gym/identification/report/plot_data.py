@@ -17,7 +17,7 @@ _LEAST_POINTS = 4000
 
 
 def plot_data(result: IdentificationResult) -> ResultCurves:
-    """Compute the curves that the plots show; those of the fitted runs have fewer than 8000 rows.
+    """Compute the curves of the report's plots; those of the fitted runs are thinned to under 8000 rows.
 
     Args:
         result: Result of an identification: machines, selected effects, fitted and held-out runs.

@@ -15,7 +15,7 @@ from .document import File, Made
 
 
 def provenance(files: Sequence[Path]) -> Made:
-    """Describe where a result that is written now comes from.
+    """Describe the origin of a result: the time, the version of the package and the recordings' files.
 
     Args:
         files: Files of the recordings, those that can be read; empty if the recordings come from no files.

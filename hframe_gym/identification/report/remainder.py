@@ -1,4 +1,4 @@
-"""Words about the error that is left: how large it is, whether it is noise, and why it is left."""
+"""Sentences on the remaining error: its size, whether it is noise, and its possible cause."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ DIVERGES = "infinitely many (its simulation diverges)"
 
 
 def tone_of_remainder(report: Report) -> Literal["good", "neutral", "warning"]:
-    """Return the tone of the page, which follows from the error left and not from the names found.
+    """Return the tone (color) of the page, which depends on the remaining error, not on the names found.
 
     Returns:
         "good" if the error is at most `max_noise_ratio_explained` times the noise, and beyond it at most
@@ -46,7 +46,7 @@ def tone_of_remainder(report: Report) -> Literal["good", "neutral", "warning"]:
 
 
 def drifts(report: Report) -> bool:
-    """Return whether a simulation drifts, so that the drives' force error describes the machine better."""
+    """Return whether the simulation drifts, so that the report states the drives' force error instead."""
     ratio = report.after.noise_ratio
     if report.after.force_error is None or ratio is None or ratio <= _MAX_NOISE_RATIO:
         return False
@@ -55,7 +55,7 @@ def drifts(report: Report) -> bool:
 
 
 def cause_of_remainder(report: Report) -> str:
-    """Return a sentence's end about the error left: why that is; "" if it is the sensors' noise."""
+    """Return the end of a sentence with the cause of the remaining error; "" if it is the sensors' noise."""
     if (left := report.left) is None or left < NOTICEABLE_ERROR:
         return ""
     if not (runs := report.contradicting):
@@ -71,15 +71,15 @@ def cause_of_remainder(report: Report) -> str:
 
 
 def reason_of_remainder(report: Report) -> str:
-    """Return a clause about the error that the machine of the verdict leaves on the held-out runs.
+    """Return a clause with the reason for the machine's remaining error on the held-out runs.
 
     Args:
         report: Content of report.json, with the error `left`.
 
     Returns:
-        What a formula that is recommended in place of a table leaves, if that is clearly less; what a table
-        does not describe, for another machine with a table; that voltages which the log lacks may be the
-        cause; that it comes from an unstable motion; or that it is not known.
+        One of these: the error with the formula recommended in place of a table, if it is clearly smaller;
+        that a table does not describe the rest; that unknown voltages may be the cause; that the motion is
+        unstable; that the reason is unknown.
     """
     tables = any(effect.name.partition("[")[0] in HOOK_OF_KIND for effect in report.effects)
     formulas = {
@@ -126,16 +126,16 @@ def largest_position_error(evaluation: Evaluation) -> str:
 
 
 def in_user_units(evaluation: Evaluation) -> str:
-    """Return the largest rms error of a position in words; that of several channels is the largest one."""
+    """Return the largest rms error of a machine's positions as text, such as "at most 12 um"."""
     most = "at most " if len(evaluation.channels) > 1 else ""
     return f"{most}{largest_position_error(evaluation)}"
 
 
 def missing_forces(evaluations: Sequence[Evaluation]) -> list[str]:
-    """Return the forces that machines lack, with their unit, "" where none is known.
+    """Format the missing forces of several machines with their unit; "" for an unknown force.
 
-    They are given in percent of the drives' force. If one is larger than that, the drives hardly acted, and
-    all are given in N or Nm; so they are where the commands of the drives tell no force.
+    They are in percent of the drives' force. If one exceeds 100 %, because the drives hardly acted, or if the
+    commands do not determine the drives' force, all are in N or Nm.
     """
     parts = [evaluation.missing_force_percent for evaluation in evaluations]
     forces = [evaluation.missing_force for evaluation in evaluations]
@@ -146,7 +146,7 @@ def missing_forces(evaluations: Sequence[Evaluation]) -> list[str]:
 
 
 def parts_of_remainder(report: Report, *, error: bool = True) -> list[str]:
-    """Return the error that is left: the largest in mm, all in multiples of noise, motion, force.
+    """Return phrases for the remaining error: in mm, and as multiples of noise, motion and drive force.
 
     Args:
         error: Whether to state it in mm and in multiples of the noise.
@@ -169,7 +169,7 @@ def parts_of_remainder(report: Report, *, error: bool = True) -> list[str]:
 
 
 def remainder_in_words(report: Report, *, error: bool) -> list[str]:
-    """Return a sentence about what is left relative to the motion and to the drives, if that is known.
+    """Return a sentence with the remaining error relative to motion and drive force, if they are known.
 
     Args:
         error: Whether to state the error as well, because no other sentence does.

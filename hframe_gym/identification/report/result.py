@@ -1,4 +1,4 @@
-"""Hold the result of an identification, and state it as in report.json."""
+"""The result of an identification, and its conversion to the content of report.json."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class RejectedEffect:
         effect: The effect with the parameters of its trial fit.
         size: Force of the effect relative to that of the drives, root mean squares over the fitted runs;
             infinite if no force describes it.
-        held_out_gain: Fraction of the squared prediction error on the held-out runs that it removes; negative
-            if it increases the error.
+        held_out_gain: Fraction of the squared prediction error on the held-out runs that the effect removes;
+            negative if it increases the error.
         reason: Why it was rejected; a clause that follows "it ".
     """
 
@@ -57,7 +57,7 @@ class Unfinished(NamedTuple):
     """A search that ended before it was complete.
 
     Attributes:
-        stage: What it was doing, in words.
+        stage: Activity of the search when it ended, in words.
         reason: Why it ended, in words.
         interrupted: Whether the user ended it.
     """
@@ -139,7 +139,7 @@ class IdentificationResult:
 
     @property
     def left_in_others(self) -> float:
-        """The ratio `left` for the held-out runs that do not contradict the fitted ones, or NaN."""
+        """The ratio `left` over the held-out runs that do not contradict the fitted runs, or NaN."""
         errors = [error for name, error in self.after.errors.items() if name not in self.contradicting]
         channels = errors_by_channel(errors, self.after.machine, self.held_out.noise) if errors else {}
         return PredictionErrors(channels, None).noise_ratio
@@ -151,9 +151,10 @@ class IdentificationResult:
 
     @property
     def deviating_sensors(self) -> tuple[str, ...]:
-        """Sensors that deviate alone from the delivered machine, or from the refitted one if unexplained.
+        """Sensors that alone deviate from the delivered machine, while others agree with it.
 
-        The description of an unexplained error would hide where it comes from.
+        For an unexplained error, the refitted machine is used, because a description of the error would hide
+        its origin.
         """
         return (self.before if self.verdict == "unexplained" else self.after).deviating_sensors
 
@@ -183,7 +184,7 @@ class IdentificationResult:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What else limits the result, one sentence each: parameters at limits, unused runs."""
+        """Further limits of the result, one sentence each: parameters at limits, unused runs."""
         return (*self.limit_warnings, *self.divergence_warnings, *self.run_warnings)
 
     def as_json(self) -> dict[str, Any]:
@@ -191,7 +192,7 @@ class IdentificationResult:
         return self.as_report().as_json()
 
     def as_report(self) -> document.Report:
-        """Return report.json's content without what `write_result` adds: warnings, formulas and origin."""
+        """Return the content of report.json, except what `write_result` adds: warnings, formulas, origin."""
         # Forces are compared only if all machines have them.
         with_force = all(e.held_out.force is not None for e in self.evaluations.values())
         declared, before, after = (

@@ -32,7 +32,7 @@ class MissingForce:
     """Force that would have to act in addition for a machine to follow the measurements, in the fitted runs.
 
     Attributes:
-        variable: Variable on which it depends most, such as a position, SI, shape (m,).
+        variable: Values of the variable on which the force depends most, such as a position, SI, shape (m,).
         by_machine: Force that the refitted ("before") and the corrected ("after") machine lack, on the
             coordinate that shows this dependence, N or Nm, shape (m,).
     """

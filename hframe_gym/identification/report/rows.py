@@ -38,13 +38,13 @@ class EffectRow:
     """An effect that was found.
 
     Attributes:
-        name: Its name in words.
+        name: Name in words.
         table: Whether it is a table, which is drawn.
-        parameters: Its parameters; none of a table.
-        size: Sentence about its force; "" if it is not known.
-        gain: Sentence about what it does to the error of the held-out runs.
-        rivals: Effects from which these runs do not distinguish it.
-        equivalent: Effects from which no recording can distinguish it.
+        parameters: Parameters; empty for a table.
+        size: Sentence about the effect's force; "" if unknown.
+        gain: Sentence about the change of the held-out runs' error by the effect.
+        rivals: Effects that these runs do not distinguish from it.
+        equivalent: Effects that no recording can distinguish from it.
     """
 
     name: str
@@ -145,7 +145,7 @@ def parameter_rows(machine: Machine, declared: Machine) -> list[ParameterRow]:
 
 
 def correlation_rows(machine: Machine) -> list[CorrelationRow]:
-    """Return each identified parameter's correlations with those before it, without table ordinates."""
+    """Return the correlations of each identified parameter with the parameters before it; no tables."""
     if machine.uncertainty is None:
         return []
     names = machine.uncertainty.names
@@ -163,7 +163,7 @@ def _tables(machine: Machine) -> tuple[str, ...]:
 
 
 def inseparable_rows(report: Report, machine: Machine) -> list[InseparableRow]:
-    """Return the parameters that the data do not separate, with what they determine of each set.
+    """Return the sets of parameters that the data do not separate, with the sums that they determine.
 
     Args:
         machine: Identified machine.

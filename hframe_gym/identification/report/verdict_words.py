@@ -29,7 +29,7 @@ _BY_INSTRUMENTS = (
 
 
 def verdict_sentence(report: Report) -> str:
-    """Describe in words the verdict and the error on the held-out runs, which were not fitted.
+    """Describe the verdict and the error on the held-out runs in a sentence.
 
     The error is the simulation error in units of the sensors' noise, root mean square over the channels. If
     the simulation drifts, the relative error of the drives' force is stated instead, if the report contains
@@ -191,8 +191,8 @@ def nearest_effects(report: Report) -> list[str]:
 def hidden_effects(report: Report) -> list[str]:
     """Return sentences about effects that a log slower than its controller may hide, with their sizes.
 
-    They reduced the error of the fitted runs and failed a test, and those that are listed also reduce that of
-    the held-out runs. Nothing if only noise is left, or if the log contains all voltages.
+    These effects reduced the error of both the fitted and the held-out runs, but failed a test. The result is
+    empty if only noise is left, or if the log contains all voltages.
     """
     if report.unknown_voltages is None or not cause_of_remainder(report):
         return []
@@ -238,7 +238,7 @@ def _remainder(report: Report) -> str:
 
 
 def dependence_sentences(report: Report) -> list[str]:
-    """Return a sentence about sensors that deviate alone, or the variable that explains most of the force."""
+    """Return a sentence about sensors that deviate alone, or about the main variable of the force."""
     if sensors := report.residual.sensors:
         return [_DEVIATING.format(" and ".join(sensors), "s" if len(sensors) == 1 else "")]
     sentences = []

@@ -1,4 +1,4 @@
-"""Find effects in the fitted runs, and let the held-out runs check them; they can only remove effects.
+"""Find effects in the fitted runs and check them with the held-out runs, which can only remove effects.
 
 `find_effects` refits the machine and searches (`search_effects`: propose, fit, gather evidence, judge,
 repeat).
@@ -64,12 +64,12 @@ BeforeSearch = Callable[[PlainFit | None, Dataset, Dataset], None]
 
 
 class CheckedOutcome(NamedTuple):
-    """Outcome of a search in the fitted runs, and what the held-out runs say about it.
+    """Outcome of a search in the fitted runs, after the check with the held-out runs.
 
     Attributes:
         outcome: Outcome of the search.
         held_out: Runs that were not fitted.
-        differing: Names of those that contradict the machine which explains the fitted runs.
+        differing: Names of the held-out runs that contradict the machine which explains the fitted runs.
         messages: What the user should know about the division of the runs, one sentence each.
         plain: Plain fit to the fitted runs, if there is one.
         hint: What the user should know if the fitted and the held-out runs contradict each other; a sentence,
@@ -97,15 +97,15 @@ class CheckedOutcome(NamedTuple):
         return (*remarks, *map(_HELD_OUT_CONTRADICTION.format, self.differing), *hints)
 
     def without_run(self, name: str) -> CheckedOutcome:
-        """Return the outcome of a search in the other runs, with the name of the run left out."""
+        """Return a copy that names a run as left out, because the search used only the others."""
         return self._replace(outcome=self.outcome._replace(contradiction=name))
 
     def comparable_runs(self, all_runs: Dataset) -> Dataset:
-        """Return the fitted, held-out and contradictory runs.
+        """Return all runs, to compare them with each other: fitted, held-out and contradicting ones.
 
         Args:
-            all_runs: All runs, prepared for a fit. Those that were used replace them, with estimated
-                voltages.
+            all_runs: All runs, prepared for a fit. Runs that the search used replace them, because these have
+                estimated voltages.
         """
         used = {run.name: run for run in (*self.outcome.data.runs, *self.held_out.runs)}
         names = [*used, self.outcome.contradiction]
@@ -126,8 +126,8 @@ def find_effects(
 ) -> CheckedOutcome:
     """Refit a machine and find the effects (deviations from the nominal model) that it lacks.
 
-    They are searched for in the runs that are not held out. The held-out runs remove those that they do not
-    confirm. Then a delay of the drives is looked for, which the observer of the search hides.
+    The search uses the runs that are not held out. The held-out runs then remove effects that they do not
+    confirm. Finally, a delay of the drives is tested, which the observer of the search hides.
 
     Args:
         machine: Machine as declared.
@@ -424,7 +424,7 @@ def _contradicting_runs(outcome: SearchOutcome, held_out_runs: Dataset) -> tuple
 def exchanged_if_better(
     found: CheckedOutcome, search_without: Callable[[Sequence[str]], CheckedOutcome], log: LineLog
 ) -> CheckedOutcome:
-    """Search with other runs held out where the held-out ones contradict the fitted; decide what holds.
+    """Search again with other runs held out if the held-out runs contradict the fitted runs.
 
     Args:
         found: Outcome of the first search.

@@ -82,15 +82,14 @@ class EffectSearch:
     Args:
         refitted: Machine before effects are added.
         log: Called with a line of text for each candidate.
-        drawback: Called with the fit of a machine with an effect that passes all tests. Returns why an effect
-            that explains less would be preferred, a clause that follows "it "; "" if none would. Where all
-            have a drawback, the one that explains most is selected. Default: none has one.
-        counts: Whether the number of changes of the voltages between the rows is asked again after each
-            effect.
+        drawback: Function of the fit with an effect that passes all tests. It returns a drawback of the
+            effect, a clause that follows "it ", or "". An effect without a drawback is preferred even if it
+            explains less; if all have one, the effect that explains most is selected. Default: no drawbacks.
+        counts: Whether the number of voltage changes between the rows is checked again after each effect.
 
     Attributes:
         considered: Effects that reduced the error but failed a test, by label (name@site).
-        reached: What is selected so far; None before the first step.
+        reached: Fit and effects selected so far; None before the first step.
         data: The recordings; `run` may replace the initial states of their runs by more probable ones.
     """
 
@@ -187,18 +186,18 @@ class EffectSearch:
         return current, tuple(s.with_values(current.machine) for s in selected)
 
     def start_with(self, current: Fit, known: tuple[SelectedEffect, ...]) -> Selection:
-        """Return the machine with effects of an earlier search, without those that do not pass here.
+        """Add the effects of an earlier search to a machine, except those that do not pass the tests here.
 
-        The earlier search assumed other voltages between the rows. Beside the others, each effect must reduce
-        the error by enough and pass the tests of a candidate, and gives way to another one that explains
-        more.
+        The earlier search assumed other voltages between the rows. Each effect must again reduce the error by
+        enough, beside the others, and pass the tests of a candidate. Another effect that explains more
+        replaces it.
 
         Args:
             current: Fit of the machine without these effects.
             known: Effects in the order in which they were selected.
 
         Returns:
-            Where `run` starts: the fit of the machine with the effects that passed, and these effects.
+            Start for `run`: the fit of the machine with the effects that passed, and these effects.
         """
         data = self.data
         while known:
@@ -477,13 +476,13 @@ class EffectSearch:
     def with_indistinguishable(
         self, current: Fit, selected: tuple[SelectedEffect, ...]
     ) -> tuple[SelectedEffect, ...]:
-        """Add to the rivals of each selected effect those that these runs may not distinguish from it.
+        """Add to each selected effect the rivals that these runs may not distinguish from it.
 
         The trial fits of the search show rivals only among the few best candidates of one step. Here all
         candidates are compared with the effect, to first order, in the machine with all other effects;
-        `settle_rivals` then fits those that may take its place. An effect may do so if the increase of
-        chi-squared is no more than chance causes. That is doubled, because the comparison is of first order.
-        Those that only unknown voltages tell from the effect are added in any case.
+        `settle_rivals` then fits those that may replace it. An effect may replace it if chi-squared increases
+        by no more than twice what chance causes; the factor allows for the first-order comparison. Effects
+        that differ from it only by unknown voltages are always added.
 
         Args:
             current: Fit of the machine with all selected effects.
@@ -564,7 +563,7 @@ class EffectSearch:
         return self._likely[2]
 
     def polished(self, current: Fit) -> Fit:
-        """Return a fit with the shortest integration step (`polish`); a comparison may have found it.
+        """Return the fit with the shortest integration step (`polish`), from a comparison if it is known.
 
         Args:
             current: Fit of the machine with all selected effects.

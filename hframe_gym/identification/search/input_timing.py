@@ -43,8 +43,8 @@ def with_input_timing(
 ) -> SearchOutcome:
     """Add a delay or lag of the drives to the effects that a search found, if the fitted runs confirm it.
 
-    It is tried where effects explain most of the error, but leave forces of unknown size. Judged by an
-    observer whose bandwidth times the sampling period is 0.3, an effect is added if it passes these tests:
+    It is tried if effects explain most of the error, but leave forces of unknown size. Judged by an observer
+    whose bandwidth times the sampling period is 0.3, an effect is added if it passes these tests:
 
     - This observer is more likely than that of the search (60 rad/s): the sensors resolve fast errors.
     - The effect is fast: it removes a larger fraction of the error than with the observer of the search.

@@ -52,7 +52,7 @@ Decision = tuple[Verdict, str]
 
 
 class Found(NamedTuple):
-    """What a search found in the runs to which it fits.
+    """Effects that a search found, with the fit of the machine.
 
     Attributes:
         fitted: Fit of the machine with the selected effects; of the refitted machine, if there are none.
@@ -71,7 +71,7 @@ class ModelSearch:
     Args:
         machine: Machine as declared.
         refitted: Fit of the machine to these runs at `SEARCH_BANDWIDTH`, if it is known already.
-        before: The same at the bandwidth that its remaining error requires.
+        before: Fit at the bandwidth that the remaining error requires, if it is known already.
         known: Effects that a search with other voltages between the rows selected; they must pass again.
 
     Attributes:
@@ -121,7 +121,7 @@ class ModelSearch:
 
     @cached_property
     def selection(self) -> Selection:
-        """Machine with effects that are selected one by one, not yet tested beside each other."""
+        """Machine with the effects that were selected one by one, before they are tested together."""
         self._log("searching for effects")
         search, start = self._first_search, (self.before, ())
         return search.run(*(search.start_with(self.before, self._known) if self._known else start))
@@ -144,10 +144,10 @@ class ModelSearch:
         return self._outcome("effect_found", self._with_rivals(tabled)) if tabled else self._partial(found)
 
     def fitted(self, found: SearchOutcome) -> SearchOutcome:
-        """Return the outcome of effects and tables found in a part of the rows, fitted to all of them.
+        """Refit the result of a search in some of the rows to all rows.
 
         Args:
-            found: Outcome of a search in a part of the rows.
+            found: Outcome of a search in some of the rows.
         """
         after = self.before
         if found.selected:
@@ -165,15 +165,15 @@ class ModelSearch:
         return self._partial(complete)
 
     def finished_early(self, tests: Budget, last_fit: Budget) -> SearchOutcome:
-        """Return the outcome of an ended budget: of effects selected by then, those that pass final tests.
+        """Return the outcome when the budget has ended: those selected effects that pass final tests.
 
-        None is kept if the time for the tests ends before them.
+        No effect is kept if the time for the tests ends first.
 
         Args:
-            tests: Part of the budget for these tests, with fits in simulation of effects that leave an error.
-                What is left of it at the end is spent on comparing the effects with all others.
-            last_fit: Part for the last fits of what passes. If it ends, the best parameters so far are
-                delivered.
+            tests: Part of the budget for these tests, including fits in simulation of effects that leave an
+                error. The rest of it is spent on comparing the effects with all others.
+            last_fit: Part for the last fits of the effects that pass. If it ends, the best parameters so far
+                are delivered.
         """
         found, decision = self._tested_early(tests)
         with last_fit.limiting(delivers=True):
@@ -313,10 +313,10 @@ class ModelSearch:
 
     @cached_property
     def runs_differ(self) -> bool:
-        """Whether a parameter that differs from run to run explains the runs, as no effect or table can.
+        """Whether a parameter with another value in each run explains the runs, as no effect or table can.
 
-        A table over time may explain a parameter that drifts. If a single run differs, the others may have
-        effects.
+        A parameter that drifts does not count, because a table over time may explain it; nor does a single
+        run that differs, because the others may have effects.
         """
         return self._difference is not None and not self._drifts and self._difference.different_run is None
 
@@ -589,16 +589,16 @@ def fitted_to_all_rows(
     log: LineLog,
     budget: Budget,
 ) -> SearchOutcome:
-    """Fit the machines that a search in a part of the rows found to all of them, and reach the verdict again.
+    """Refit the result of a search in some of the rows to all rows, and reach the verdict again.
 
     Args:
-        found: Outcome of a search in a part of the rows.
+        found: Outcome of a search in some of the rows.
         machine: Machine from which the search started.
         data: All rows of the runs to fit, without the run that the search left out.
         budget: Processor time of the identification.
 
     Returns:
-        Outcome with the machines that all rows determine; `found`, unfinished, if the budget ended before.
+        Outcome with machines fitted to all rows; `found`, marked as unfinished, if the budget ended before.
     """
     try:
         with budget.limiting(stage_ends(machine, in_part=True).all_rows):

@@ -18,9 +18,9 @@ class VoltagesChangeError(Exception):
     """A search found that the voltages change more or less often between the rows than it assumed.
 
     Attributes:
-        machine: Machine with the effects that were found before.
+        machine: Machine with the effects found so far.
         selected: These effects.
-        updates: How often the voltages change.
+        updates: Number of voltage changes per row.
     """
 
     def __init__(
@@ -37,7 +37,7 @@ class SearchOutcome(NamedTuple):
         before: Fit of the refitted machine, without effects.
         before_explains: Whether that machine explains the data.
         explained: Whether the machine with the effects explains the data, or unknown voltages between the
-            rows may cause all that it leaves.
+            rows may cause all of the remaining error.
         verdict: "effect_found", "no_effect" or "unexplained".
         after: Fit of the machine with the effects.
         selected: The selected effects.
@@ -45,7 +45,7 @@ class SearchOutcome(NamedTuple):
         data: Runs that the machines were fitted to.
         contradiction: Name of the run that was left out because it contradicts the others; None if all were
             used.
-        unfinished: What the search did when its budget ended, in words; "" if it is complete.
+        unfinished: Activity of the search when its budget ended, in words; "" if the search is complete.
         bandwidth: Bandwidth of the observer with which the search judged effects, rad/s; `after` may have
             been fitted in simulation since.
     """
@@ -66,11 +66,11 @@ class SearchOutcome(NamedTuple):
 def with_removed(
     outcome: SearchOutcome, removed: SelectedEffect, reduced: Fit, reason: str, log: LineLog
 ) -> SearchOutcome:
-    """Return an outcome without one of its effects, which is listed as considered.
+    """Return an outcome in which one of the effects is moved to the considered (rejected) ones.
 
     Args:
         removed: The effect.
-        reduced: Fit without it.
+        reduced: Fit without the effect.
         reason: Why it is removed, a clause that follows "it ".
     """
     log(f"  {removed.effect.label} is removed: it {reason}")
@@ -86,10 +86,10 @@ def with_removed(
 
 
 def without_names(outcome: SearchOutcome, reason: str) -> SearchOutcome:
-    """Return an outcome whose effects are listed as considered instead of named, as if none had been found.
+    """Return an outcome in which all effects are moved to the considered (rejected) ones.
 
     Args:
-        reason: Why they are not named.
+        reason: Why the effects are not named, a clause.
     """
     entries = (
         ConsideredEffect(s.effect, outcome.after.machine, outcome.before.machine, f"is not named: {reason}")

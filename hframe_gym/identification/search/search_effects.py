@@ -58,15 +58,14 @@ def search_effects(
             returns True.
         budget: Processor time after which the search ends. The refit of the machine is always completed.
             Default: the search ends by itself.
-        ends: Parts of it after which search and tests end. Default: those of complete runs.
+        ends: Fractions of the budget after which search and tests end. Default: those of complete runs.
         refitted: Fit of the machine to these runs at `SEARCH_BANDWIDTH`, if it is known already.
         known: Effects that a search with other voltages between the rows selected; they must pass again.
 
     Returns:
         Verdict, fits of the machine without and with the effects, and the selected and the rejected effects.
-        If the budget ended: of what was selected until then, tested like everything else, without tables;
-        without a suspect if that was found to explain the other runs and is confirmed, else in all runs. What
-        there is no time to test is not selected.
+        If the budget ended, they contain the effects selected so far that passed the same tests, and no
+        tables. The suspect is then left out only if these effects explain the other runs and are confirmed.
     """
     searches = [ModelSearch(machine, data, criteria, log, refitted, known=known)]
     budget, ends = budget or Budget(), ends or stage_ends(machine)

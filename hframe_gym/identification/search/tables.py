@@ -305,7 +305,9 @@ def _knots_moved(fitted: Fit, label: str) -> Fit:
 
 
 def knots_at_bends(knots: Array, values: Array, covariance: Array) -> Array:
-    """Return knots as dense as a table is significantly curved, from the same first to the same last.
+    """Place the knots of a table more densely where its curve is significantly bent.
+
+    The first and the last knot stay.
 
     Args:
         knots: Increasing knots, shape (KNOTS,).
@@ -348,7 +350,7 @@ def _left_out_ratio(fitted: Fit, reference: Fit, data: Dataset, criteria: Select
 
 
 def cost_ratio(costs: Array, before: Array) -> float:
-    """Return the geometric mean of the ratios of the costs of pieces, weighted by their cost before.
+    """Return the geometric mean of costs / reference costs of pieces, weighted by the reference costs.
 
     Args:
         costs: Costs of the pieces, dimensionless, shape (pieces,).

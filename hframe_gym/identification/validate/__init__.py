@@ -1,1 +1,1 @@
-"""Validation: the held-out runs judge what a search found, and none worse than a plain fit is delivered."""
+"""Validation of a search's result by the held-out runs, and by comparison with simpler machines."""

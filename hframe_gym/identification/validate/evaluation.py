@@ -1,4 +1,4 @@
-"""Evaluate what is certain of an outcome on held-out runs, which judge its verdict and effects' names."""
+"""Evaluate the outcome of a search on the held-out runs, which judge the verdict and the named effects."""
 
 from __future__ import annotations
 
@@ -57,10 +57,10 @@ _UNSTABLE = (
 
 
 def with_certain_effects(outcome: SearchOutcome, criteria: SelectionCriteria, log: LineLog) -> SearchOutcome:
-    """Remove the effects that may as well be absent, given the covariance of the fitted parameters.
+    """Remove the effects whose amplitude may be zero, given the covariance of the fitted parameters.
 
-    The least certain effect is removed first; the others may be certain without it. That inputs may act later
-    than recorded is no doubt about a delay or lag of the drives: it is what such an effect says.
+    The least certain effect is removed first; the others may be certain without it. A possible delay of the
+    inputs is no reason to remove a delay or lag of the drives, because it is what such an effect describes.
 
     Args:
         outcome: Outcome of a search, after the held-out runs have removed effects.
@@ -107,7 +107,7 @@ class _KnownErrors(NamedTuple):
 
 @dataclass(frozen=True)
 class HeldOutTest:
-    """The test of every outcome of an identification: simulations over the same held-out runs.
+    """Evaluation of machines on the same held-out runs, with a cache of their errors.
 
     Attributes:
         session: All runs, as logged and as prepared, with the declared machine.
@@ -129,16 +129,16 @@ class HeldOutTest:
         return with_all_measurements(self.held_out, self.session.usable)
 
     def with_runs(self, names: Sequence[str]) -> HeldOutTest:
-        """Return the test by some of the held-out runs only."""
+        """Return the test restricted to some of the held-out runs."""
         return HeldOutTest(self.session, self.held_out.with_runs(names), self.criteria)
 
     def errors(self, machine: Machine, fitted: Dataset, name: str = "") -> ModelEvaluation:
-        """Simulate a machine over the held-out runs, or look up the errors of an equal one.
+        """Simulate a machine over the held-out runs; the errors of an equal machine are reused.
 
         Args:
             machine: Any machine with these drives and sensors.
-            fitted: Runs that it was fitted to.
-            name: Name of the machine in the result. Default: its own.
+            fitted: Runs that the machine was fitted to.
+            name: Name of the machine in the result. Default: the machine's name.
 
         Returns:
             The machine with its errors, see `evaluate_held_out`.
@@ -156,23 +156,23 @@ class HeldOutTest:
         return errors
 
     def seconds(self) -> float:
-        """Return the processor time of the slowest evaluation until now, s; 0 before the first one.
+        """Return the processor time of the slowest evaluation so far, s; 0 before the first one.
 
-        Delays and other effects make an evaluation slower, and the delivered machine may have them.
+        It estimates the time for the delivered machine, whose effects may make an evaluation slower.
         """
         return max((known.seconds for known in self._known), default=0.0)
 
     def unstable_motion(
         self, model: ModelEvaluation, fitted: Dataset, names: Sequence[str] = ()
     ) -> UnstableMotion | None:
-        """Return what is known of a machine whose motion is unstable; None if it is stable.
+        """Return the evidence about a machine's motion if it is unstable; None if it is stable.
 
-        Where voltages between the rows are unknown, what they do to predictions is not known well enough to
-        tell.
+        Also None with unknown voltages between the rows, whose influence on predictions is not known well
+        enough.
 
         Args:
             model: Machine with its errors.
-            fitted: Runs that it was fitted to.
+            fitted: Runs that the machine was fitted to.
             names: Names of the held-out runs that count. Default: all.
         """
         if self.complete_runs.has_voltage_errors:
@@ -189,11 +189,11 @@ class HeldOutTest:
         return motion
 
     def explains_unstable_motion(self, model: ModelEvaluation, fitted: Dataset) -> bool:
-        """Return whether a simulation's error is what unstable motion makes of noise, also by predictions.
+        """Return whether noise that grows along an unstable motion causes a machine's simulation error.
 
         Args:
             model: Machine with its errors.
-            fitted: Runs that it was fitted to.
+            fitted: Runs that the machine was fitted to.
         """
         left = model.held_out.noise_ratio
         if not left > self.criteria.max_noise_ratio_explained:
@@ -218,7 +218,7 @@ class HeldOutTest:
         return Evaluated(outcome, selected, declared, before, after, self)
 
     def contradiction(self, evaluated: Evaluated, differing: Sequence[str]) -> str:
-        """Return why these runs contradict the verdict of a search, a clause; "" if they do not.
+        """Return why the held-out runs contradict the verdict of a search, as a clause; "" if they do not.
 
         Args:
             evaluated: Outcome of the search with its machines.
@@ -246,11 +246,13 @@ class HeldOutTest:
         return reason
 
     def predictions(self, model: ModelEvaluation, fitted: Dataset, names: Sequence[str] = ()) -> Array:
-        """Return how well a machine predicts each held-out run, by sensor (`predictions_by_run`).
+        """Compute the prediction errors of a machine on the held-out runs, by run and sensor.
+
+        See `predictions_by_run`.
 
         Args:
             model: Machine with its errors.
-            fitted: Runs that it was fitted to.
+            fitted: Runs that the machine was fitted to.
             names: Names of the held-out runs that are predicted. Default: all.
 
         Returns:
@@ -261,7 +263,7 @@ class HeldOutTest:
 
 
 class HeldOutTests:
-    """Tests of one identification, which may hold out other runs, or prepare them anew, in a second search.
+    """Collection of `HeldOutTest`s for one identification; a second search may hold out other runs.
 
     Args:
         session: All runs, as logged and as prepared, with the declared machine.
@@ -273,7 +275,7 @@ class HeldOutTests:
         self._tests: dict[Dataset, HeldOutTest] = {}
 
     def of(self, held_out: Dataset) -> HeldOutTest:
-        """Return the test by these held-out runs, with the errors that it knows."""
+        """Return the test for some held-out runs; a repeated call returns the test with its cached errors."""
         if held_out not in self._tests:
             self._tests[held_out] = HeldOutTest(self.session, held_out, self._criteria)
         return self._tests[held_out]
@@ -284,12 +286,14 @@ class Evaluated(NamedTuple):
 
     Attributes:
         outcome: Outcome of the search.
-        selected: Its effects with the values of the corrected machine, and those of saturated sensors.
+        selected: Effects of the outcome with the values of the corrected machine, and those of saturated
+            sensors.
         declared: Machine as declared with its errors.
         before: Refitted machine.
         after: Machine with the effects.
         test: The held-out runs, on which other outcomes can be compared with this one.
-        reason: Why the held-out runs contradict the verdict of the search, a clause; "" if they do not.
+        reason: Reason why the held-out runs contradict the verdict of the search, a clause; "" if they do
+            not.
     """
 
     outcome: SearchOutcome
@@ -307,12 +311,12 @@ class Evaluated(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """What the held-out runs say of an outcome.
+    """Outcome of a search after the held-out runs have judged it.
 
     Attributes:
         evaluated: The outcome with its machines, without effects that must not be named.
-        withdrawn: The same with the effects that the held-out runs do not permit to name; None if there are
-            none.
+        withdrawn: The outcome before the removal of effects that the held-out runs do not permit to name;
+            None if there are none.
     """
 
     evaluated: Evaluated
@@ -320,9 +324,9 @@ class Judged(NamedTuple):
 
 
 def judged(evaluated: Evaluated, differing: Sequence[str], log: LineLog) -> Judged:
-    """Let the held-out runs judge the names of effects and the verdict.
+    """Let the held-out runs judge the effects' names and the verdict.
 
-    Where they permit no names, they judge the refitted machine, which may need no effect.
+    If they permit no names, they judge the refitted machine, which may need no effect.
 
     Args:
         evaluated: Outcome of a search with its machines.
@@ -330,8 +334,8 @@ def judged(evaluated: Evaluated, differing: Sequence[str], log: LineLog) -> Judg
         log: Called with a line of text for each effect that is not named.
 
     Returns:
-        The outcome without effects that must not be named, with the reason if the held-out runs contradict,
-        and the one with them.
+        The outcome without effects that must not be named, with the reason of a contradiction, and the
+        outcome with these effects.
     """
     test = evaluated.test
     reason, outcome, withdrawn = test.contradiction(evaluated, differing), evaluated.outcome, None
@@ -349,7 +353,7 @@ def judged(evaluated: Evaluated, differing: Sequence[str], log: LineLog) -> Judg
 
 
 def describe_unstable_motion(evaluated: Evaluated) -> str:
-    """Say that the motion of the held-out runs is unstable, and what the errors of simulations mean there.
+    """Write a note for the report that simulation errors mean little because the motion is unstable.
 
     Args:
         evaluated: Outcome with the machine that is delivered.

@@ -1,4 +1,4 @@
-"""Predict held-out runs with an observer, so that errors do not grow along the run as in a simulation."""
+"""Predict held-out runs with an observer, which keeps errors from growing along the run."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from .machine_errors import ModelEvaluation
 
 
 def predictions_by_run(model: ModelEvaluation, held_out: Dataset, fitted: Dataset) -> Array:
-    """Return how well a machine predicts each held-out run with the observer that judges, by sensor.
+    """Compute the prediction errors of a machine on each held-out run, by sensor.
 
-    The noise is that at rest: jitter of the clock is estimated from the motion, and an error may be mistaken
-    for it.
+    The observer is the one that judges effects. The noise is that at rest: jitter of the clock is estimated
+    from the motion, and an error may be mistaken for it.
 
     Args:
         model: Machine with the zeros of its encoders.
@@ -51,7 +51,7 @@ def predictions_by_run(model: ModelEvaluation, held_out: Dataset, fitted: Datase
 
 
 def largest(errors: Array) -> float:
-    """Return the largest error that is measured, dimensionless; infinite if there is none.
+    """Return the largest error, dimensionless, ignoring NaN; infinite if nothing was measured.
 
     Args:
         errors: Errors by run and sensor, dimensionless, shape (runs, sensors); NaN if not measured.

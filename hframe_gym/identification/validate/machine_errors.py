@@ -1,4 +1,4 @@
-"""Errors of a machine on the held-out runs, which it simulates as every command does."""
+"""Simulation errors of a machine on the held-out runs, as every command computes them."""
 
 from __future__ import annotations
 
@@ -32,8 +32,7 @@ class PredictionErrors:
     Attributes:
         channels: Simulation error by output channel.
         force: rms error of the drives' force by inverse dynamics / rms force; None for example with belts.
-        lacking: rms force that the machine lacks, by an observer, / rms force of the drives; None if it is
-            not known.
+        lacking: rms missing force, by an observer / rms force of the drives; None if unknown.
     """
 
     channels: dict[str, ChannelError]
@@ -75,7 +74,7 @@ class ModelEvaluation:
 
     @property
     def deviating_sensors(self) -> tuple[str, ...]:
-        """Channels whose error is no noise although other sensors of the same motion agree (`judge.sensor`).
+        """Channels with an error beyond noise while other sensors of the same motion agree (`judge.sensor`).
 
         Belts stretch little, so if a carriage moved otherwise than simulated, the encoders of the pulleys
         would deviate as well. If only the sensor of the carriage deviates, the cause is that sensor, its
@@ -101,7 +100,7 @@ class ModelEvaluation:
 
 
 def error_ratio(evaluation: ModelEvaluation, reference: ModelEvaluation) -> float:
-    """Return the simulation error of a machine over that of another one on the same runs.
+    """Return the simulation error of a machine / that of another machine on the same runs.
 
     Args:
         evaluation: Machine to compare.
@@ -183,7 +182,7 @@ def evaluate_held_out(
 
 
 def with_encoder_zeros(machine: Machine, data: Dataset) -> Machine:
-    """Return a machine whose encoders have the zeros (readings at position 0) that all runs determine.
+    """Return a copy of a machine with the encoder zeros (readings at position 0) estimated from all runs.
 
     A simulation of a single run with this copy starts from the same state as in the fit to all runs.
 

@@ -1,8 +1,8 @@
-"""Compare the machine of the search with a plain fit and with the file, and deliver none that predicts worse.
+"""Compare the machine of the search with simpler ones, and deliver none that predicts worse than these.
 
-Where no cause is named, effects may describe the remaining error of complete runs: those whose names the
-held-out runs withdrew, on a machine with belts too, and others that are searched for beside the better of
-refitted machine and plain fit.
+The simpler machines are the plain fit and the machine as declared. Where no cause is named, effects may still
+describe the remaining error of complete runs: those whose names the held-out runs withdrew, and others from a
+search that starts from the refitted machine or the plain fit, whichever is better.
 """
 
 from __future__ import annotations
@@ -86,13 +86,12 @@ DescriptionSearch = Callable[[Helps], Iterable[tuple[Fit, tuple[str, ...]]]]
 
 @dataclass(frozen=True)
 class PlainResult:
-    """The plain fit of inertia and friction, which uses no declared values, as a machine for comparison.
+    """The plain fit of inertia and friction, which uses no declared values, with its errors for comparison.
 
     Attributes:
         evaluation: The machine with its errors on the held-out runs.
-        terms: Labels of what it has beside inertia and friction: constant force, weight, input delay.
-        delivered: Whether it is the machine that identification delivers, because that of the search predicts
-            worse.
+        terms: Labels of its terms beside inertia and friction: constant force, weight, input delay.
+        delivered: Whether identification delivers this machine, because that of the search predicts worse.
     """
 
     evaluation: ModelEvaluation
@@ -101,12 +100,12 @@ class PlainResult:
 
 
 class Delivered(NamedTuple):
-    """What an identification delivers after the comparison with the plain fit.
+    """Result of an identification after the comparison with simpler machines.
 
     Attributes:
         evaluated: The outcome with its machines.
         plain: Plain fit with its errors, if there is one.
-        remarks: What replaced the machine of the search, a sentence; empty if nothing did.
+        remarks: A sentence on the machine that replaced the one of the search; empty if none did.
     """
 
     evaluated: Evaluated
@@ -117,11 +116,11 @@ class Delivered(NamedTuple):
 def reserve_time_after_search(
     budget: Budget, tests: HeldOutTests, plain: PlainFit | None, fitted: Dataset, held_out: Dataset
 ) -> None:
-    """Reserve processor time for what follows a search, if a held-out run is long.
+    """Reserve processor time for the evaluations after a search, if a held-out run is long.
 
     The machines that are known before the search are evaluated, to measure how long that takes. After the
-    search, the refitted and the corrected machine are evaluated. The delivered one gets the starts of the
-    fitted runs, its uncertainty and the report, which takes for each run as long as an evaluation does.
+    search, the refitted and the corrected machine are evaluated. The starts of the fitted runs, the
+    uncertainty and the report of the delivered machine take as long as one evaluation for each run.
 
     Args:
         tests: Tests by which machines are compared; they remember these evaluations.
@@ -147,14 +146,14 @@ def _runs_to_report(test: HeldOutTest, fitted: Dataset) -> float:
 def no_worse(
     judgment: Judged, plain: PlainFit | None, log: LineLog, budget: Budget, *, differing: Sequence[str] = ()
 ) -> Delivered:
-    """Compare the outcome with the plain fit and the declared machine, and deliver none that predicts worse.
+    """Compare the machine of a search with simpler ones, and deliver none that predicts worse than these.
 
-    If one of them takes the place of a machine with effects, that is the reason why none is named. Where no
-    cause is named, a machine with effects that describe what is left takes the place of one without. Held-out
-    runs that contradict all of these machines do not choose between them.
+    If a simpler machine replaces one with effects, no effect is named for this reason. If no cause is named,
+    a machine with effects that describe the remaining error may replace one without. Held-out runs that
+    contradict all of these machines do not count.
 
     Args:
-        judgment: Outcome of a search with its machines, as the held-out runs judge it.
+        judgment: Outcome of a search after the tests on the held-out runs.
         plain: Plain fit to the fitted runs, if there is one.
         log: Called with a line of text.
         budget: Budget of the identification, of which a description may use a part.
@@ -280,15 +279,15 @@ def _compared(
 
 
 def confirmed(plain: PlainFit, evaluated: Evaluated) -> tuple[PlainFit, ModelEvaluation]:
-    """Let the held-out runs choose the terms of a plain fit.
+    """Choose the terms of a plain fit by the prediction of the held-out runs.
 
     Args:
         plain: Plain fit to the fitted runs.
         evaluated: Outcome of a search, with the tests on the held-out runs.
 
     Returns:
-        The plain fit with those terms that the fitted runs show, without any that worsen the prediction of
-        the held-out runs, or with others, if it then predicts them better; and the errors of this machine.
+        The plain fit whose terms predict the held-out runs best, with its errors. Terms that the fitted runs
+        determine are left out if they worsen the prediction; uncertain terms are added if they improve it.
     """
     best, reference = plain, _plain_errors(plain, evaluated)
     for simpler in reversed(plain.simpler):
@@ -303,10 +302,10 @@ def confirmed(plain: PlainFit, evaluated: Evaluated) -> tuple[PlainFit, ModelEva
 
 
 def start_of_description(plain: PlainFit, evaluated: Evaluated) -> PlainFit:
-    """Return the plain fit with those terms that describe the held-out runs as clearly as a description must.
+    """Return the plain fit with only those terms that clearly improve the prediction of the held-out runs.
 
-    Terms are effects without a cause, as those of a description are. One that hardly helps may be false, and
-    takes the place of a part of what the description would find: a constant force that of a spring.
+    A search for a description starts from it. A term that hardly helps may be false, and would hide a part of
+    what the description should find: a constant force that of a spring.
 
     Args:
         plain: Plain fit to the fitted runs.
@@ -353,7 +352,7 @@ def _declared(evaluated: Evaluated) -> Fit:
 
 
 class Description(NamedTuple):
-    """Outcome without names whose machine describes what is left, and a sentence about it."""
+    """Outcome whose machine has effects that describe the remaining error, without naming causes."""
 
     evaluated: Evaluated
     sentence: str
@@ -362,19 +361,18 @@ class Description(NamedTuple):
 def best_description(
     judgment: Judged, base: ModelEvaluation, further: DescriptionSearch | None, log: LineLog
 ) -> Description | None:
-    """Return the description of what is left that predicts the held-out runs best.
+    """Return the description of the remaining error that predicts the held-out runs best.
 
     Args:
         judgment: Outcome of a search with its machines. Effects whose names were withdrawn are the first
             description.
         base: Machine without a description.
-        further: Searches for other descriptions, if the first one leaves more than noise; None: there are
-            none.
+        further: Search for other descriptions, used if the first one leaves more than noise. None: no search.
         log: Called with a line of text for each description.
 
     Returns:
-        The best one; None if effects are named, only noise is left, or `base` predicts the held-out runs as
-        well.
+        The best description; None if effects are named, only noise is left, or `base` predicts the held-out
+        runs as well.
     """
     evaluated, withdrawn = judgment
     outcome, test = evaluated.outcome, evaluated.test
@@ -411,7 +409,7 @@ def _further_descriptions(
 
 
 def fit_to_describe(plain: PlainFit, evaluated: Evaluated, budget: Budget) -> Fit:
-    """Return the fit beside which a description is searched for.
+    """Return the fit from which a search for a description starts.
 
     Args:
         plain: Plain fit to the fitted runs.
@@ -470,12 +468,12 @@ def _predicted_ratio(
 
 
 def description_line(labels: Sequence[str], ratio: float, *, helps: bool) -> str:
-    """Say in a line of the log whether effects describe the remaining error.
+    """Write a line of the log on whether effects describe the remaining error.
 
     Args:
         labels: Labels of the effects.
-        ratio: Error on the held-out runs with them, relative to that without.
-        helps: Whether the machine with them is kept.
+        ratio: Ratio of the errors on the held-out runs with / without the effects.
+        helps: Whether the machine with the effects is kept.
     """
     error = f"{ratio:.3g} times the error on the held-out runs"
     effects = ", ".join(labels)
@@ -485,15 +483,14 @@ def description_line(labels: Sequence[str], ratio: float, *, helps: bool) -> str
 def description_sentence(
     labels: Sequence[str], ratio: float, lacking: float | None, without: float | None
 ) -> str:
-    """Say what a description is good for.
+    """Write a sentence for the report on what a description improves.
 
     Args:
-        labels: Labels of its effects.
-        ratio: Error on the held-out runs with them, relative to that without.
-        lacking: Force that the machine with them lacks, relative to that of the drives; None if it is not
-            known.
-        without: Force that the refitted machine lacks, relative to that of the drives; None if it is not
-            known.
+        labels: Labels of the effects.
+        ratio: Ratio of the errors on the held-out runs with / without the effects.
+        lacking: Missing force of the machine with the effects, relative to the force of the drives; None if
+            unknown.
+        without: Missing force of the refitted machine, relative to the force of the drives; None if unknown.
     """
     sentence = _DESCRIPTION.format(", ".join(labels), ratio)
     if lacking is None or without is None or not forces_contradict(lacking, without):
@@ -504,10 +501,10 @@ def description_sentence(
 def descriptions(
     start: Fit, data: Dataset, criteria: SelectionCriteria, log: LineLog, budget: Budget, helps: Helps
 ) -> Iterator[tuple[Fit, tuple[str, ...]]]:
-    """Add the effects that reduce the error of a simulation over complete runs most, one after the other.
+    """Search for a description: add, one by one, the effects that reduce the simulation error most.
 
-    An effect that the held-out runs do not confirm waits until all others that may follow have been tried:
-    the one that explains most of the fitted runs may follow what only they contain.
+    The held-out runs must confirm each effect. One that they do not confirm is tried again after all others,
+    because it may describe something that only the fitted runs contain.
 
     Args:
         start: Fit in simulation, for example a plain fit.

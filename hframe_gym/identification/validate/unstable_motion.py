@@ -21,7 +21,7 @@ _MOMENTS = 16  # An instability that lasts a sixteenth of a run is found; each m
 
 
 def enlargement(machine: Machine, data: Dataset, bandwidth: float) -> float:
-    """Return how many times simulations enlarge an error of position that the sensors cannot show.
+    """Return the factor by which simulations enlarge position errors of the size of the noise.
 
     The error may arise at any moment of a run, because an error that shrinks at first may grow later. From
     several moments, the machine is simulated to the end of the run, from the state that an observer gives and
