@@ -107,6 +107,21 @@ def test_bits_do_not_depend_on_batch_or_threads(
         np.testing.assert_array_equal(rollout(hframe, time, many, velocities=True)[-1], alone)
 
 
+@pytest.mark.parametrize("voltages", [1, 5])
+def test_machines_of_a_batch_have_their_own_delays(voltages: int, hframe: Machine) -> None:
+    """Each moves exactly as alone, whether it shares voltages and delay with the first machine or not."""
+    machine = hframe.with_effects(EFFECTS["input_delay"].at("motor1", d=0.7e-3))
+    parameters = np.tile(list(machine.parameters.values()), (5, 1))
+    delays = [0.7e-3, 0.7e-3, 2.3e-3, 0.0, 0.7e-3]
+    parameters[:, list(machine.parameters).index("input_delay@motor1.d")] = delays
+    inputs = history(5)[:51] * np.linspace(1.0, 0.5, voltages)[:, None, None]
+    batch = rollout(machine, TIME[:51], inputs, parameters=parameters)
+    for b in range(5):
+        own = inputs[min(b, voltages - 1)]
+        alone = rollout(machine, TIME[:51], own, parameters=parameters[b : b + 1])[0]
+        np.testing.assert_array_equal(batch[b], alone)
+
+
 def test_a_number_of_threads_that_is_none_is_named(hframe: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HFRAME_THREADS", "all")
     with pytest.raises(InputError, match="HFRAME_THREADS is 'all'"):

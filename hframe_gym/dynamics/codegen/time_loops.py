@@ -226,12 +226,18 @@ def hold_inputs(
     """
     for k in range(drive_delays.shape[0]):
         if delayed:
-            for s in range(steps):
-                of_step = s * drive_delays.shape[0] + k
-                for lane in range(LANES):
-                    u = min(block * LANES + lane, inputs.shape[0] - 1)
+            # Machines of a block mostly have the voltages and the delay of its first one.
+            for lane in range(LANES):
+                if lane > 0 and inputs.shape[0] == 1 and drive_delays[k, lane] == drive_delays[k, 0]:
+                    continue
+                u = min(block * LANES + lane, inputs.shape[0] - 1)
+                for s in range(steps):
                     begin = time[i] + s * h - drive_delays[k, lane]
-                    voltages[of_step, lane] = held_mean(time, inputs[u, :, k], begin, begin + h, i)
+                    mean = held_mean(time, inputs[u, :, k], begin, begin + h, i)
+                    if lane == 0:
+                        voltages[s * drive_delays.shape[0] + k, :] = mean
+                    else:
+                        voltages[s * drive_delays.shape[0] + k, lane] = mean
         elif inputs.shape[0] == 1:
             voltage = inputs[0, i, k]
             for lane in range(LANES):
