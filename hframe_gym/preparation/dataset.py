@@ -176,13 +176,17 @@ class PreparedRecording:
         """
         if self.updates == 1:
             return HeldVoltages(self.time_s, self.inputs if inputs is None else inputs, 1)
-        interval = float(np.quantile(np.diff(self.time_s), _REGULAR))
-        per_row = min(max(1, math.ceil(interval / step_s - _SAME_STEP)), self.updates)
+        per_row = min(max(1, math.ceil(self._longest_regular_interval / step_s - _SAME_STEP)), self.updates)
         if inputs is not None:
             return self._held(per_row, inputs)
         if per_row not in self._held_by_number:
             self._held_by_number[per_row] = self._held(per_row, self.inputs)
         return self._held_by_number[per_row]
+
+    @cached_property
+    def _longest_regular_interval(self) -> float:
+        """Time, s, that at least `_REGULAR` of the intervals between rows do not exceed."""
+        return float(np.quantile(np.diff(self.time_s), _REGULAR))
 
     @cached_property
     def _held_by_number(self) -> dict[int, HeldVoltages]:

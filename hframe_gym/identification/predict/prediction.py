@@ -218,7 +218,7 @@ def observer_gains(machine: Machine, period: float, bandwidth: float = SEARCH_BA
             gains[count + i, j] = rate**2 / period / sensor.row[name]
         else:
             gains[count + i, j] = 2 * rate / sensor.row[name]
-    carried = [carried_through_contacts(machine, half.T).T for half in np.split(gains, 2)]
+    carried = [carried_through_contacts(machine, half.T).T for half in (gains[:count], gains[count:])]
     return np.vstack(_followed(machine, carried))
 
 

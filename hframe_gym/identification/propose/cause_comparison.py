@@ -206,11 +206,12 @@ class CauseComparison:
         for channel, basis in enumerate(self._bases):
             parts = []
             for index, columns in cause.parts:
-                compared = self._compared(channel, columns)
-                if index is not None:
-                    parts.append(self._directions[channel, index] * compared)
-                else:
-                    parts.append(np.kron(np.eye(channels)[channel], compared))
+                if index is None:
+                    parts.append(np.kron(np.eye(channels)[channel], self._compared(channel, columns)))
+                elif factor := self._directions[channel, index]:
+                    parts.append(factor * self._compared(channel, columns))
+                else:  # most forces show in one channel
+                    parts.append(np.zeros((len(self._values), columns.shape[1])))
             design = np.sum(parts, axis=0)
             designs.append(design - basis @ (basis.T @ design))
         return designs

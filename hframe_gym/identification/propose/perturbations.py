@@ -32,11 +32,12 @@ class Perturbation(NamedTuple):
 
     Attributes:
         force: Force on every coordinate, N or Nm, shape (columns, n, coordinates).
-        measurement: Change of the sensors' output, in the sensors' units, shape (columns, n, sensors).
+        measurement: Change of the sensors' output, in the sensors' units, shape (columns, n, sensors); None
+            if no column changes it.
     """
 
     force: Array
-    measurement: Array
+    measurement: Array | None
 
 
 class PerturbedMachine(NamedTuple):
@@ -140,16 +141,17 @@ def candidate_perturbations(unperturbed: Unperturbed, perturbed: Sequence[Pertur
 
     Returns:
         Forces, N or Nm, shape (columns, n, coordinates), and changes of measurements, m or rad, shape
-        (columns, n, sensors). A column is one basis function of one candidate, in the order of
+        (columns, n, sensors), or None. A column is one basis function of one candidate, in the order of
         `Candidate.columns`.
     """
     count, first, motion = sum(each.columns for each in perturbed), 0, unperturbed.motion
     force = np.zeros((count, *motion.positions.shape[1:]))
-    measurement = np.zeros((count, *motion.readings.shape[1:]))
+    of_sensors = any(acts_on_sensors(each.effect) for each in perturbed)
+    measurement = np.zeros((count, *motion.readings.shape[1:])) if of_sensors else None
     for each in perturbed:
         rows = slice(first, first + each.columns)
         first += each.columns
-        if acts_on_sensors(each.effect):
+        if measurement is not None and acts_on_sensors(each.effect):
             measurement[rows] = _measurement_change(each.equations, unperturbed)
         else:
             changed = unperturbed.known.by_coordinate(each.equations)

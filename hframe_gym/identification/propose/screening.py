@@ -38,7 +38,6 @@ from .candidates import Candidate
 from .perturbations import (
     PerturbedMachine,
     Unperturbed,
-    acts_on_sensors,
     candidate_perturbations,
     perturbed_machines,
 )
@@ -451,11 +450,10 @@ def _responses(
     columns, along = [], Unperturbed(model.machine, run, motion)
     for part in _parts(perturbed):
         force, measurement = candidate_perturbations(along, part)
-        of_sensors = any(acts_on_sensors(each.effect) for each in part)
         step = np.repeat([each.step for each in part], [each.columns for each in part])
         by_column = step[:, None, None]
         force *= by_column
-        changed = residual(force, by_column * measurement if of_sensors else None)
+        changed = residual(force, None if measurement is None else by_column * measurement)
         changed -= unperturbed
         columns.append(changed / step[:, None])
     return np.vstack(columns)
