@@ -57,7 +57,7 @@ def _unstretched_travel(constraints: tuple[tuple[float, ...], ...]) -> Array:
 
 
 def static_equilibrium(machine: Machine, positions: Array) -> Array:
-    """Compute the pulleys' angles at rest, where forces may stretch the belts, by carriage positions.
+    """Compute the pulleys' angles at rest from carriage positions, with belts that forces may stretch.
 
     Effects such as cables and tilt exert forces at rest. Static friction carries such a force up to the
     Coulomb level. A larger force has displaced the carriage, which is assumed to rest at the far end of its
@@ -100,7 +100,7 @@ def _forces_at_rest(machine: Machine, positions: Array) -> Array:
 
 
 def max_held_angle(machine: Machine) -> Array:
-    """Return how far static friction can hold each pulley of a machine with belts away from equilibrium.
+    """Return how far from equilibrium static friction can hold each pulley of a machine with belts.
 
     This is a generous estimate: 2 F / (k r) with the Coulomb friction F of all coordinates together, as a
     force at the belt, the mean stiffness k of the belts and the radius r of the pulley.
@@ -116,10 +116,10 @@ def max_held_angle(machine: Machine) -> Array:
 
 
 def stretch_angles(machine: Machine, *, moving: bool) -> dict[str, float]:
-    """Return the angle by which the stretch of the belts typically turns each pulley at the start of a run.
+    """Return the typical angle by which belt stretch turns each pulley at the start of a run.
 
-    The angle is 0 with unstretched belts. The result serves as the standard deviation of the unknown initial
-    angle. It is a typical torque divided by the rotational stiffness of the belts at the pulley.
+    It is the standard deviation of the unknown initial angle, relative to unstretched belts: a typical torque
+    divided by the rotational stiffness of the belts at the pulley.
 
     Args:
         machine: Machine; without belts the result is empty.
@@ -139,7 +139,7 @@ def stretch_angles(machine: Machine, *, moving: bool) -> dict[str, float]:
 
 
 def vibration_speeds(machine: Machine) -> dict[str, float]:
-    """Return speed amplitudes of each pulley's typical vibration against the belts while the machine moves.
+    """Return the typical speed amplitude with which each pulley vibrates on its belts in a moving machine.
 
     It is the standard deviation of the pulley's unknown velocity at the start of a run that begins in motion.
 

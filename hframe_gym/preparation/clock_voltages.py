@@ -1,4 +1,4 @@
-"""What the jitter of a controller's clock does to the voltages of a slow log.
+"""The effect of a controller's jittering clock on the voltages of a slow log.
 
 A controller that reads a moving sensor late finds it farther on, and brakes; reading early, it drives. A late
 voltage also ends sooner than usual, and an early one lasts longer, because the next one comes at its own
@@ -44,25 +44,25 @@ _ROUNDING = 4.0
 
 
 class ClockVoltages(NamedTuple):
-    """What the jitter of a controller's clock does to the voltages of a run of n rows.
+    """Changes of the voltages of a run of n rows by the jitter of the controller's clock.
 
     Attributes:
-        impulses: What jitter adds, on average, to the time integral of a voltage from one change to the next,
-            V s, shape (n, drives).
-        answers: What the voltage of a row has in it because this row was read late or early, V,
+        impulses: Mean change by jitter of the time integral of a voltage from one change to the next, V s,
             shape (n, drives).
+        answers: Part of a row's voltage with which the controller answers that the row was read late or
+            early, V, shape (n, drives).
     """
 
     impulses: Array
     answers: Array
 
     def rows(self, chosen: slice) -> ClockVoltages:
-        """Return those of some rows."""
+        """Return the changes for some of the rows."""
         return ClockVoltages(self.impulses[chosen], self.answers[chosen])
 
 
 def clock_voltages(time_s: Array, inputs: Array, outputs: Array) -> ClockVoltages:
-    """Return what jitter does to the voltages.
+    """Estimate the changes of the voltages by the jitter of the controller's clock.
 
     Reading late by d, the controller answers with h * speed * d, and this voltage lasts shorter by d: the
     mean of the product is -h * speed * variance of d.
@@ -104,13 +104,13 @@ def updated_inputs_of_clock(
     updates: int,
     interpolation: Interpolation = "akima",
 ) -> Array:
-    """Return interpolated inputs at the times at which a controller changes them, whose clock may jitter.
+    """Interpolate inputs to the times at which a controller with a jittering clock changes them.
 
     Args:
         inputs: Inputs in the rows, V, shape (..., n, drives).
-        clock: What the jitter does to them; None: nothing.
+        clock: Changes of the inputs by the jitter; None without jitter.
         updates: Changes of the inputs from one row to the next.
-        interpolation: How the inputs are interpolated.
+        interpolation: Kind of interpolation.
 
     Returns:
         Inputs at `update_times`, V, shape (..., (n - 1) * `updates` + 1, drives).
@@ -124,15 +124,15 @@ def updated_inputs_of_clock(
 
 
 def with_clock_voltages(inputs: Array, voltages: ClockVoltages, time_s: Times, updates: int) -> Array:
-    """Return rows' voltages that, interpolated between rows, are those of a controller whose clock jitters.
+    """Correct the rows' voltages for the jitter of the controller's clock, before interpolation.
 
-    They lack the answers to the jitter of the rows. Of n changes a row, each adds its impulse. With the
-    answer of the row, the times from its stamp to the next one already contain 1 / n of one impulse.
+    The answers to the jitter of the rows are removed. Each of the n changes per row adds its impulse. With
+    the answer of the row, the times from its stamp to the next one already contain 1 / n of one impulse.
 
     Args:
         inputs: Voltages in the rows, V, shape (..., n, drives).
-        voltages: What the clock's jitter does to them, for the same rows.
-        updates: Changes of the voltages from one row to the next; with one, nothing is missing.
+        voltages: Changes by the jitter, for the same rows.
+        updates: Number of voltage changes per row; with 1, no correction is needed.
 
     Returns:
         Voltages, V, shape (..., n, drives).

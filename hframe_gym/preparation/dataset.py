@@ -37,7 +37,7 @@ class VoltageErrors(Protocol):
     """Errors of the voltages of a run that are interpolated between its rows."""
 
     def whiten(self, residual: Array, bandwidth: float) -> Array:
-        """Return a residual whose values are independent in spite of these errors, with unit variance.
+        """Filter a residual so that its values are independent with unit variance despite the voltage errors.
 
         Args:
             residual: Residuals of a batch of predictions, in units of the noise, shape (batch, n * sensors).
@@ -101,10 +101,10 @@ class PreparedRecording:
             fit.
         updates: How many times the voltages change from one row to the next: more than once if the controller
             is faster than the log. They are then interpolated between the rows (`interpolated_voltages`).
-        interpolation: How they are interpolated.
-        voltage_errors: What is known of the errors of interpolated voltages; None if the voltages are held.
-        clock_voltages: What the jitter of the controller's clock does to voltages that change between the
-            rows; None: nothing.
+        interpolation: Kind of interpolation.
+        voltage_errors: Statistics of the errors of interpolated voltages; None if the voltages are held.
+        clock_voltages: Changes of voltages between the rows by the jitter of the controller's clock; None
+            without jitter.
     """
 
     name: str
@@ -122,7 +122,7 @@ class PreparedRecording:
     clock_voltages: ClockVoltages | None = field(default=None, repr=False)
 
     def bandwidth(self, of_prediction: float) -> float:
-        """Return the observer's bandwidth for this run, rad/s: its own, or else `of_prediction`, rad/s."""
+        """Return the observer's bandwidth for this run, rad/s: its own one, or else `of_prediction`."""
         return of_prediction if self.observer_bandwidth is None else self.observer_bandwidth
 
     @property
@@ -137,15 +137,17 @@ class PreparedRecording:
 
     @cached_property
     def fit_scales(self) -> Array:
-        """Factors that turn errors of measurements to residuals, sqrt(weight) / noise, shape (n, sensors)."""
+        """Factors sqrt(weight) / noise from measurement errors to residuals, shape (n, sensors)."""
         return np.asarray(np.sqrt(self.weights) / self.noise)
 
     def first_rows(self, count: int) -> PreparedRecording:
-        """Return the beginning of the run."""
+        """Return a copy with only the first rows of the run."""
         return self._rows(slice(count))
 
     def last_rows(self, count: int) -> PreparedRecording:
-        """Return the end of the run; its initial state remains that of the complete run.
+        """Return a copy with only the last rows of the run.
+
+        The initial state stays that of the complete run.
 
         Args:
             count: Number of rows to keep, at least 1.
@@ -165,10 +167,10 @@ class PreparedRecording:
         return self.inputs if self.clock_voltages is None else self.inputs - self.clock_voltages.answers
 
     def held(self, step_s: float, inputs: Array | None = None) -> HeldVoltages:
-        """Return voltages that are held from one time to the next: from row to row, or between the rows too.
+        """Return the voltages as a step function of time, which an integrator needs.
 
-        Voltages that change inside an integration step act by their mean over it, to second order of its
-        length.
+        Voltages that change between the rows get additional times. Those that change within an integration
+        step are replaced by their mean over it.
 
         Args:
             step_s: Longest integration step, s.
@@ -232,11 +234,11 @@ class Dataset:
             is found.
         has_zero: False for sensors without a zero that a comparison may adapt, such as those of speeds and
             currents, shape (sensors,). None: all have one.
-        updates_rejected: Numbers of voltage changes a row that earlier searches assumed and found wrong, each
-            with the number of effects that were known when it was.
-        means_are_zeros: Whether a fit takes the mean error over a run of a sensor without quantization that
-            measured at rest for an error of the initial position. Not in simulations of complete runs: an
-            error of the machine has a mean there.
+        updates_rejected: Numbers of voltage changes per row that earlier searches found wrong, each with the
+            number of effects known at that time.
+        means_are_zeros: Whether a fit attributes the mean error of a sensor over a run to its initial
+            position, if the sensor has no quantization and measured at rest. False for simulations of
+            complete runs, in which an error of the machine has a mean as well.
     """
 
     runs: tuple[PreparedRecording, ...]
@@ -260,7 +262,7 @@ class Dataset:
         return float(np.median(np.concatenate([np.diff(run.time_s) for run in self.runs])))
 
     def fitted_zero_limits(self, run: PreparedRecording) -> Array:
-        """Return how far, in a fit, each sensor's zero may differ from its estimate by a run's rows at rest.
+        """Return by how much a fit may change each sensor's zero from its estimate at rest, for one run.
 
         The limits differ from those of `max_zero_means` for a sensor without quantization. It gives the
         initial position, and the noise of its few measurements at rest makes this position wrong by a
@@ -280,9 +282,9 @@ class Dataset:
         return dataclasses.replace(self, runs=tuple(run for run in self.runs if run.name in names))
 
     def leaving_out(self, piece: int, pieces: int) -> tuple[Dataset, Dataset]:
-        """Divide the data set into one piece of a run and everything else.
+        """Split off one piece of a run, for cross-validation.
 
-        A piece keeps the measurements beside it, which have no weight, so that an observer follows the
+        The other measurements of this run stay in the piece with weight 0, so that an observer follows the
         complete run.
 
         Args:
@@ -290,7 +292,7 @@ class Dataset:
             pieces: Number of pieces into which each run is divided; 1 for complete runs.
 
         Returns:
-            Everything else, and the piece.
+            The data set without the piece, and the piece.
         """
         index, part = divmod(piece, pieces)
         run, before, after = self.runs[index], self.runs[:index], self.runs[index + 1 :]
@@ -326,12 +328,12 @@ class Dataset:
         return max(run.updates for run in self.runs)
 
     def with_all_runs(self, **changes: Any) -> Dataset:
-        """Return a copy with the same changes of fields in all runs, see `PreparedRecording`."""
+        """Return a copy in which some fields of `PreparedRecording` have new values, the same in all runs."""
         runs = (dataclasses.replace(run, **changes) for run in self.runs)
         return dataclasses.replace(self, runs=tuple(runs))
 
     def with_updates(self, updates: int) -> Dataset:
-        """Return a copy in which all voltages change a number of times from one row to the next."""
+        """Return a copy in which the voltages of all runs change `updates` times per row."""
         return self.with_all_runs(updates=updates)
 
     def without_voltage_errors(self) -> Dataset:
@@ -380,7 +382,7 @@ class Dataset:
         return tuple(dataclasses.replace(self, runs=(run,)) for run in self.runs)
 
     def measured_values(self, sensor: int) -> Array:
-        """Return what a sensor, by its index, measured in all runs, minus its zero, m or rad, shape (m,).
+        """Return all measurements of a sensor, given its index, minus its zero, m or rad, shape (m,).
 
         Rows in which the sensor did not measure are left out.
         """
@@ -389,7 +391,7 @@ class Dataset:
 
 
 def with_known_positions(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
-    """Copy a data set without runs that cannot be simulated, as no sensor determines the initial position.
+    """Copy a data set without the runs whose initial position no sensor determines.
 
     Returns:
         data: Copy without these runs. If no run would remain, all are kept.
@@ -405,7 +407,7 @@ def with_known_positions(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
 
 
 def turns_steadily(outputs: Array, noise: Array, quantum: Array, machine: Machine) -> bool:
-    """Return whether a sensor of speeds measures another speed than 0 in a run, even if it never changes.
+    """Return whether a speed sensor measures a nonzero speed in a run, even if it is constant.
 
     Args:
         outputs: Measurements of the run, in the channels' units, NaN where not measured, shape (n, sensors).
@@ -420,7 +422,7 @@ def turns_steadily(outputs: Array, noise: Array, quantum: Array, machine: Machin
 
 
 def runs_that_should_move(data: Dataset, machine: Machine, moving: Sequence[str]) -> dict[str, str]:
-    """Find runs at rest with inputs that set the machine in motion in another run.
+    """Find runs in which the machine rests although such inputs move it in another run.
 
     Their sensor was not read, their drive was off, or something was blocked. In a fit, they would be evidence
     of dry friction that the other runs refute.
@@ -430,9 +432,9 @@ def runs_that_should_move(data: Dataset, machine: Machine, moving: Sequence[str]
         moving: Names of the runs in which the machine moves.
 
     Returns:
-        Name of a run that starts from rest with inputs of which none is larger, root mean square and peak, by
-        the name of each run that should move. Empty for drives that follow a set point, which rest at any
-        constant position. A run at a constant measured speed moves.
+        By name of each such run, the name of another run that starts from rest although none of its inputs is
+        larger (root mean square and peak). Empty for drives that follow a set point, which rest at any
+        constant position. A run at a constant measured speed counts as moving.
     """
 
     def sizes(run: PreparedRecording) -> Array:

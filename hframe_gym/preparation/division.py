@@ -45,12 +45,12 @@ def divide_runs(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> 
 
 
 def short_runs(recordings: Sequence[Recording]) -> dict[str, str]:
-    """Find runs that are too short for the filters, such as what a logger with gaps left of a part of a log.
+    """Find runs that are too short for the filters, such as pieces of a log with gaps.
 
-    If all are, none can be left out.
+    If all runs are too short, the result is empty, because none can be left out.
 
     Returns:
-        Why a run is not used, as the predicate of a sentence, by its name.
+        Reason, as the predicate of a sentence, by name of the run.
     """
     short = {
         recording.name: f"has {len(recording.time_s)} rows, identification needs at least {MIN_ROWS}"
@@ -61,18 +61,18 @@ def short_runs(recordings: Sequence[Recording]) -> dict[str, str]:
 
 
 def copied_runs(recordings: Sequence[Recording], kept: Sequence[str] = ()) -> dict[str, str]:
-    """Find runs that have the same times, commands and measurements as another run, or as a part of it.
+    """Find runs whose times, commands and measurements are a copy of another run or of a part of it.
 
-    With a copy of a held-out run among the fitted ones, the held-out error says nothing. A log that was
-    imported whole and again in parts is the common case; of these, the parts are used. No machine repeats a
-    motion to the last digit, unless nothing moves.
+    A copy of a held-out run among the fitted ones makes the held-out error meaningless. The usual cause is a
+    log that was imported as one run and again in parts; the parts are used then. No machine repeats a motion
+    to the last digit, unless nothing moves.
 
     Args:
         recordings: All runs, in the order in which the first one of equal runs is kept.
-        kept: Names of runs that are used and their copies not, for example the held-out ones.
+        kept: Names of runs to keep in preference to their copies, for example the held-out ones.
 
     Returns:
-        Why a run is a copy, as the predicate of a sentence, by its name.
+        Reason, as the predicate of a sentence, by name of the copy.
     """
     first_of: dict[bytes, str] = {}
     reasons: dict[str, str] = {}
@@ -251,13 +251,13 @@ def _octave_spectrum(recording: Recording, duration: float) -> Array:
 
 
 def moving_runs(recordings: Sequence[Recording]) -> tuple[str, ...]:
-    """Find the runs in which the machine moves: a sensor moves beyond its noise and 1 % of its largest span.
+    """Find the runs in which at least one sensor moves beyond its noise and 1 % of its largest span.
 
     A span is the difference between the 99th and the 1st percentile of the measurements, so that single wrong
     samples and the first steps of a motor that hardly turns do not count.
 
     Returns:
-        Names of the runs in which at least one sensor moves.
+        Names of these runs.
     """
     spans, moves = np.zeros((2, len(recordings), recordings[0].outputs.shape[1]))
     for i, recording in enumerate(recordings):

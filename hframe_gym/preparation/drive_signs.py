@@ -24,11 +24,11 @@ from .motion_windows import motion_windows
 
 
 def turned_coordinates(machine: Machine, runs: Sequence[PreparedRecording]) -> tuple[str, ...]:
-    """Find the coordinates whose drives move them in the other direction than declared.
+    """Find the coordinates that their drives move in the opposite direction to the declared one.
 
     Args:
-        machine: Machine as declared. With belts, the direction of a coordinate depends on others, and with
-            effects on sensors, their parameters would have to turn as well: none is found then.
+        machine: Machine as declared. Machines with belts or effects on sensors are not checked: the direction
+            of a coordinate would depend on others, and effect parameters would have to change.
 
     Returns:
         Names of the coordinates; none if the declared directions explain the motion, or if no directions do.
@@ -56,7 +56,7 @@ def turned_coordinates(machine: Machine, runs: Sequence[PreparedRecording]) -> t
 
 
 def with_turned(machine: Machine, coordinates: Sequence[str]) -> Machine:
-    """Return a machine whose sensors of some coordinates count the other way."""
+    """Return a copy of a machine in which the sensors of some coordinates have the opposite sign."""
     turned = [
         dataclasses.replace(s, row={name: -factor for name, factor in s.row.items()})
         for s in machine.sensors

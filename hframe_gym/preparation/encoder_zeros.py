@@ -41,13 +41,13 @@ class EncoderZeros(NamedTuple):
 
     @property
     def resolves_stretch(self) -> NDArray[np.bool_]:
-        """Mask of encoders with a known zero that varies by run (with the belt stretch), shape (sensors,)."""
+        """Mask of encoders whose known zero varies between runs with the belt stretch, shape (sensors,)."""
         # The stretch at rest differs from run to run, and with it the measured zero.
         return self.known & (self.spread > 0.0)
 
     @classmethod
     def of_machine(cls, machine: Machine) -> EncoderZeros:
-        """Read the zeros from a machine's sensors, in their units, shape (sensors,); NaN for none."""
+        """Read the zeros from the sensors of a machine, in their units, shape (sensors,); NaN if unknown."""
         return cls(
             np.array([np.nan if s.zero is None else s.zero for s in machine.sensors], float),
             np.array([s.zero_std or 0.0 for s in machine.sensors], float),

@@ -1,4 +1,4 @@
-"""Choose the part of a long session in which effects are searched for.
+"""Choose a representative part of a long session for the search for effects.
 
 A search fits hundreds of candidates, and each takes as long as the runs are. Beyond a normal session, more
 rows make parameters more accurate, but hardly show another effect. The search therefore uses a part of the
@@ -43,12 +43,12 @@ _NOISE_AT_REST, _STEPS_AT_REST = 8.0, 1.5
 def representative_part(
     data: Dataset, machine: Machine, *, size: float = NORMAL_SESSION, every_run: bool = False
 ) -> Dataset:
-    """Return the part of the runs in which effects are searched for.
+    """Return a representative part of the runs, for the search for effects.
 
-    Runs are taken in the order in which each differs most from those before it, by the spectra of their
-    voltages, until they fill a normal session. Of each, one contiguous part is kept, as long as the others
-    permit; short runs remain whole. The part is the one whose voltages resemble those of the whole run most.
-    It begins at rest where the machine rests.
+    Runs are added, each time the one that differs most from the runs before by the spectra of its voltages,
+    until they fill a session of normal size. Of each run, one contiguous part is kept whose voltages resemble
+    those of the complete run most; it is as long as the others permit, and short runs remain complete. A part
+    begins at rest if the machine rests anywhere.
 
     Args:
         machine: Machine as declared.
@@ -57,8 +57,8 @@ def representative_part(
         every_run: Whether a part of each run is kept, however short.
 
     Returns:
-        The runs, or parts of them with the same names and a measured start; `data` itself if it is not
-        larger, or if the errors of its voltages are known by row.
+        The runs, or parts of them with the same names and a measured start; `data` itself if it is small
+        enough, or if the errors of its voltages are known by row.
     """
     per_row = _OF_ROW + _OF_MOTION * data.period / NORMAL_PERIOD
     rows = round(size / (len(machine.coordinates) * per_row))
@@ -71,7 +71,7 @@ def representative_part(
 
 
 def is_long(recording: Recording, machine: Machine) -> bool:
-    """Return whether a run is longer than one of a normal session.
+    """Return whether a run is longer than a typical run of a session of normal size.
 
     Args:
         machine: Machine that was recorded.
@@ -80,7 +80,7 @@ def is_long(recording: Recording, machine: Machine) -> bool:
 
 
 def describe_part(part: Dataset, data: Dataset) -> str:
-    """Describe which part of the runs is used, for the log: "40000 of 300000 rows, of 5 of 5 runs".
+    """Describe the part of the runs that is used, for the log: "40000 of 300000 rows, of 5 of 5 runs".
 
     Args:
         data: All runs.
@@ -90,7 +90,7 @@ def describe_part(part: Dataset, data: Dataset) -> str:
 
 
 def largest_share(lengths: Sequence[float], total: float) -> float:
-    """Compute to what the longest of some lengths must be cut so that all together do not exceed a total.
+    """Return the length to which longer ones must be cut so that all lengths sum to at most `total`.
 
     Args:
         lengths: Lengths, such as durations, s, or numbers of rows, dimensionless.

@@ -43,12 +43,12 @@ class Balance(NamedTuple):
 
     Attributes:
         unexplained: Fraction of the sum of squared forces that no machine explains, from 0 to 1.
-        of_changes: The same unexplained force as a fraction of the squared changes of the forces about their
+        of_changes: Sum of squared unexplained forces as a fraction of that of the forces' changes about their
             mean.
         inertia: Fitted inertia / declared inertia, by motion, shape (motions,); NaN if the rows do not
             suffice.
-        viscous: Fitted viscous friction / declared one with the back-EMF, by motion, shape (motions,); NaN
-            also if none is declared.
+        viscous: Fitted / declared viscous friction, back-EMF included, by motion, shape (motions,); NaN also
+            if none is declared.
     """
 
     unexplained: float

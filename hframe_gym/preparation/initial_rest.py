@@ -43,7 +43,7 @@ class InitialRest(NamedTuple):
             before the first input.
         rows: Number of rows from the beginning of the run to the end of the rest; 1 if the machine moves
             throughout, so that only the first row counts.
-        moving: True for each sensor that moves in these rows, shape (sensors,).
+        moving: True for each sensor that shows motion before the first input, shape (sensors,).
         lead_s: Lower bound of the time by which a motion precedes the first input, s; 0 if no motion precedes
             it.
     """
@@ -137,9 +137,9 @@ def _constant_rows(recording: Recording, machine: Machine) -> InitialRest:
 def count_resting_rows(recording: Recording, machine: Machine) -> int:
     """Count the rows at the beginning of a run in which the machine is at rest.
 
-    The row in which an input first changes is included, because its measurement still precedes the motion,
-    unless it shows that a controller that is faster than the log moved the machine before. Rows without
-    measurements count as rest, among them those whose measurements `without_moving_start` has removed.
+    The row in which an input first changes is included, because its measurement still precedes the motion; it
+    is not if it shows that a controller faster than the log moved the machine earlier. Rows without
+    measurements count as rest, also those whose measurements `without_moving_start` has removed.
 
     Returns:
         Number of rows, at least 1. It is 1 if an input is not zero in the first row or the run begins in
@@ -154,8 +154,8 @@ def without_moving_start(
 ) -> Recording:
     """Copy a recording that begins in motion, without the measurements before the machine comes to rest.
 
-    The rest that follows gives the initial state. A simulation that begins with this state and without input
-    remains at rest until the first input, so times and inputs are kept.
+    The following rest gives the initial state. A simulation from this state stays at rest until the first
+    input, so that times and inputs are kept.
 
     Args:
         rest: Rest at the beginning of the run. Default: `initial_rest` finds it.

@@ -106,7 +106,7 @@ def _switched_on_anew(
 
 
 def model_initial_states(machine: Machine, initial: Sequence[InitialState]) -> list[Array]:
-    """Return the states where simulations of a machine start, given the measurements at rest of each run.
+    """Return the states from which simulations of runs start, given the measurements at rest of each run.
 
     The state depends on the machine's effects, which may change measurements and exert forces at rest. If the
     zero of an encoder is known, the encoder gives the angle of its pulley. All other angles are those in

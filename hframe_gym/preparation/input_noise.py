@@ -36,26 +36,28 @@ _FORCE_UNITS = ("A", "Nm")
 
 
 def noise_of_input(values: Array) -> float:
-    """Estimate the noise of `values` of an input, in its unit, shape (n,); 0 for fewer than three rows.
+    """Estimate the noise of an input from its `values`, in their unit, shape (n,).
 
-    The median of second differences is zero for a command that holds its values over several rows, and small
-    for one that is smooth.
+    0 for fewer than three rows.
+
+    The estimate is the median of second differences, which is zero for a command that holds its values over
+    several rows, and small for a smooth one.
     """
     return white_noise([values], 2)
 
 
 def answers_measurements(values: Array, outputs: Measurements) -> bool:
-    """Return whether an input is the answer of a controller to the measurements up to its row.
+    """Return whether an input is a controller's answer to measurements, and not a noisy measurement itself.
 
-    The noise of a current sensor does not depend on the errors of other sensors. What a controller commands
-    does.
+    A controller's command depends on the errors of the sensors, up to its row. The noise of a current sensor
+    does not.
 
     Args:
         values: Input, shape (n,).
 
     Returns:
-        True if a linear combination of the measurements has at least half of the input's second differences
-        (mean square).
+        True if a linear combination of the measurements explains at least half of the input's second
+        differences (mean square).
     """
     measured = outputs[:, np.isfinite(outputs).mean(axis=0) > 0.5]  # others would leave too few rows
     changes, answered = np.diff(values, 2), np.diff(measured, 2, axis=0)
@@ -75,7 +77,7 @@ def answers_measurements(values: Array, outputs: Measurements) -> bool:
 
 
 def noisy_inputs(recording: Recording, machine: Machine) -> list[int]:
-    """Return which inputs were measured with much noise: currents and torques that vary like noise.
+    """Return the inputs that are noisy measurements: currents and torques that vary like noise.
 
     Args:
         recording: Run (times, s; inputs in the units of the drives' channels).
@@ -95,7 +97,7 @@ def noisy_inputs(recording: Recording, machine: Machine) -> list[int]:
 
 
 def without_input_noise(recording: Recording, machine: Machine, log: LineLog | None = None) -> Recording:
-    """Average inputs that were measured with much noise over 17 ms, centered, so that nothing is delayed.
+    """Average noisy measured inputs over a centered window of 17 ms, which delays nothing.
 
     Args:
         log: Called with a line of text for each input that is averaged.

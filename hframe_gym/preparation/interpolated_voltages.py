@@ -43,12 +43,12 @@ def update_times(time_s: Times, updates: int) -> Array:
 def updated_inputs(
     time_s: Times, inputs: Array, updates: int, interpolation: Interpolation = "akima"
 ) -> Array:
-    """Return interpolated inputs at the times at which a controller changes them.
+    """Interpolate inputs to the times at which a controller changes them.
 
     Args:
         inputs: Inputs in the rows, V, shape (..., n, drives).
         updates: Changes of the inputs from one row to the next.
-        interpolation: How the inputs are interpolated.
+        interpolation: Kind of interpolation.
 
     Returns:
         Inputs at `update_times`, V, shape (..., (n - 1) * `updates` + 1, drives).
@@ -58,13 +58,13 @@ def updated_inputs(
 
 
 def mean_inputs(inputs: Array, updates: int, parts: int) -> Array:
-    """Return the means of inputs over equal parts of the time from row to row.
+    """Return the means of inputs over the equal parts into which each row's interval is divided.
 
     Args:
         inputs: Inputs at `update_times`, each held until the next, V, shape (..., (n - 1) * `updates` + 1,
             drives).
         updates: Changes of the inputs from one row to the next.
-        parts: Parts from one row to the next.
+        parts: Number of parts from one row to the next.
 
     Returns:
         Means, V, shape (..., (n - 1) * `parts` + 1, drives); the last one is the input of the last row.

@@ -25,9 +25,9 @@ class MotionWindows(NamedTuple):
 
     Attributes:
         position: Mean measurements, m or rad, NaN where not measured, shape (rows, sensors).
-        velocity: Their velocities, m/s or rad/s, shape (rows, sensors).
-        acceleration: Their accelerations, m/s^2 or rad/s^2, shape (rows, sensors).
-        inputs: Means of the inputs with the weights that an acceleration has, V, shape (rows, drives).
+        velocity: Velocities of the measured quantities, m/s or rad/s, shape (rows, sensors).
+        acceleration: Accelerations of the measured quantities, m/s^2 or rad/s^2, shape (rows, sensors).
+        inputs: Means of the inputs with the same weights as the accelerations, V, shape (rows, drives).
     """
 
     position: Array
@@ -92,7 +92,7 @@ def _at(times: Array, time_s: Array, values: Array) -> Array:
 
 
 def leading_motions(machine: Machine) -> Array:
-    """Return the rigid motions of a machine, each with 1 at the coordinate that leads it.
+    """Return the rigid motions of a machine, scaled so that the leading coordinate moves by 1.
 
     Returns:
         Motions, shape (motions, coordinates); no rows if there is none.
@@ -107,7 +107,7 @@ def leading_motions(machine: Machine) -> Array:
 def determined_motion(
     windows: Sequence[MotionWindows], machine: Machine, R: Array, correction: Array
 ) -> tuple[NDArray[np.int_], Array, Array, Array] | None:
-    """Return which rigid motions corrected sensors determine, and all motions with their derivatives.
+    """Compute the rigid motions, with derivatives, from corrected sensors, and which ones these determine.
 
     Args:
         windows: Motion of each run.
@@ -161,7 +161,7 @@ class ForceEquations(NamedTuple):
 
     @property
     def determined(self) -> bool:
-        """Whether the drives exert a force, and there are enough rows for a regression."""
+        """Whether the drives exert a force and there are enough rows for a regression."""
         return len(self.force) >= _ROWS_PER_COEFFICIENT * self.columns.shape[1] and bool(self.force.any())
 
 

@@ -44,7 +44,7 @@ class RegularClock(NamedTuple):
 
 
 def with_regular_clock(recording: Recording, machine: Machine) -> tuple[Recording, float]:
-    """Replace stamps that jitter by equal steps, if the motion is smoother at these.
+    """Replace jittering time stamps by equal steps, if this makes the motion smoother.
 
     Args:
         recording: Run as logged.

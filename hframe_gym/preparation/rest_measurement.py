@@ -58,7 +58,7 @@ class InitialVelocity(NamedTuple):
 
     @classmethod
     def at_rest(cls, machine: Machine) -> InitialVelocity:
-        """Return the initial velocity of a run that begins at rest: zero, and certain.
+        """Return the initial velocity of a run that begins at rest: zero without uncertainty.
 
         Returns:
             Velocities, all zero, shape (coordinates,), and no errors of them, shape (0, coordinates).
@@ -92,12 +92,11 @@ class InitialState:
             (with 0 instead of NaN), shape (coordinates, sensors).
         velocity_deviations: Independent errors of the velocities, one per row, each of the size of one
             standard deviation, m/s or rad/s, shape (errors, coordinates); no rows if the run begins at rest.
-        start_offset: What a fitted machine added to the positions (m, rad) and velocities (m/s, rad/s) from
-            which it is simulated, shape (2 * coordinates,): a stretch of the belts that the measurements at
-            rest do not show.
+        start_offset: Correction of the positions (m, rad) and velocities (m/s, rad/s) by a fitted machine,
+            shape (2 * coordinates,): a stretch of the belts that the measurements at rest do not show.
         effect_states: States of the machine's effects (hysteresis, bristles) at the start, in their units, by
             label and component of the effect; an effect without an entry starts at zero.
-        warnings: What could not be measured and what is assumed instead, one sentence each.
+        warnings: Sentences on quantities that were not measured, and the assumptions instead.
     """
 
     state: Array
@@ -168,10 +167,10 @@ def estimate_initial_state(
     """Estimate the state at rest and the sensors' zeros from one run.
 
     Sensors with a known zero determine the position: lasers, whose zero is fixed, and encoders whose zero is
-    given. Other encoders are used only where nothing else measures; one on a coordinate whose position is
-    commanded then counts from where the command holds it, and without any sensor the coordinate is there.
-    Only encoders with a known zero measure a stretch of the belts. A laser that is saturated at rest is
-    replaced by its later measurements minus the encoders' displacement.
+    given. Other encoders are used only where nothing else measures. If a drive commands the position of a
+    coordinate, its encoder counts from the commanded position, at which the coordinate is assumed without any
+    sensor. Only encoders with a known zero measure a stretch of the belts. A laser that is saturated at rest
+    is replaced by its later measurements minus the encoders' displacement.
 
     Args:
         recording: The run; saturated measurements are NaN.

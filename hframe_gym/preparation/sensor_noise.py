@@ -92,7 +92,7 @@ def sensor_noise(
 
 
 def difference_noise(channel: Sequence[Array]) -> float:
-    """Estimate a sensor's noise from third differences, hardly changed by motion (von Neumann 1941).
+    """Estimate a sensor's noise from third differences, which motion hardly changes (von Neumann 1941).
 
     Args:
         channel: Measurements of the sensor by run, m or rad, each of shape (n,), NaN where not measured.

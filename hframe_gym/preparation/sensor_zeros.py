@@ -1,4 +1,4 @@
-"""Zeros of the sensors that a comparison of measured and simulated values may adapt, and by how much."""
+"""Errors of the sensors' zeros, which a comparison of measurement and simulation may correct."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def sensor_zero_error(
 def zeros_from_means(
     mean: Callable[[slice], Array], rows: int, resting_rows: int, max_mean: Array, quanta: Quanta
 ) -> Array:
-    """Estimate the errors of the sensors' zeros (`sensor_zero_error`) from mean errors over some rows.
+    """Estimate the errors of the sensors' zeros as `sensor_zero_error`, from a function for mean errors.
 
     Args:
         mean: Function that returns the mean error over rows, in the sensors' units, shape (batch, sensors).
@@ -71,11 +71,11 @@ def zeros_from_means(
 
 
 def max_zero_means(behind: NDArray[np.bool_], quanta: Quanta) -> Array:
-    """Return how far the zero of each sensor may differ from its estimate by the rows at rest.
+    """Return by how much the zero of each sensor may differ from its estimate by the rows at rest.
 
-    The rows at rest determine it only to within the quantization; for an encoder behind belts not at all,
-    because friction holds an unknown stretch of the belts at rest. Up to these limits, `sensor_zero_error`
-    counts the mean prediction error over a run as an error of the zero.
+    The rows at rest determine a zero only to within the quantization. They do not determine that of an
+    encoder behind belts, because friction holds an unknown stretch of the belts at rest. Up to these limits,
+    `sensor_zero_error` counts the mean prediction error over a run as an error of the zero.
 
     Args:
         behind: True for encoders on pulleys, which elastic belts separate from the tool, shape (sensors,).
@@ -88,11 +88,11 @@ def max_zero_means(behind: NDArray[np.bool_], quanta: Quanta) -> Array:
 
 
 def max_reported_zero_means(machine: Machine, initial: InitialState, quanta: Quanta) -> Array:
-    """Return how far, in a reported error, each sensor's zero may differ from its estimate at rest.
+    """Return by how much a sensor's zero may differ from its estimate at rest in a reported error.
 
     A search compares machines without a limit for encoders behind belts, see `max_zero_means`. In a reported
-    error, the zero accounts only for what the stretch of the belts at the start can cause. The rest of a mean
-    error over the run is an error of the model.
+    error, the zero accounts only for the stretch of the belts that is possible at the start. The rest of a
+    mean error over the run is an error of the model.
 
     Args:
         machine: Machine whose error is reported.
@@ -128,11 +128,11 @@ def behind_belts(machine: Machine) -> NDArray[np.bool_]:
 def free_zeros(machine: Machine) -> NDArray[np.bool_]:
     """Return which sensors have a zero that the rows at rest do not determine, shape (sensors,).
 
-    They are encoders on pulleys behind belts, and sensors with an offset, such as accelerometers.
+    These are encoders on pulleys behind belts, and sensors with an offset, such as accelerometers.
     """
     return behind_belts(machine) | np.array([SENSOR_KINDS.get(s.kind).has_offset for s in machine.sensors])
 
 
 def has_zero(machine: Machine) -> NDArray[np.bool_]:
-    """Return which sensors have a zero to estimate: of positions or with an offset, shape (sensors,)."""
+    """Return which sensors have a zero to estimate, shape (sensors,): those of positions or with an offset."""
     return machine.position_sensors | free_zeros(machine)

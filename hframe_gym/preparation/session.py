@@ -42,9 +42,8 @@ class Session(NamedTuple):
             sensors of positions if no run measures any.
         recordings: The runs as logged, from their first measurement on if they do not begin at rest, and
             unwrapped where only other runs tell how a sensor wraps.
-        usable: The same without measurements that are not usable, but with those at the end of a sensor's
-            range.
-        data: The runs prepared for a fit, without these.
+        usable: The recordings without unusable measurements, but with those at the end of a sensor's range.
+        data: The runs prepared for a fit, without measurements at the end of a sensor's range.
         ranges: Ranges of the sensors that saturate, m or rad, by channel.
         statements: A sentence about sensors that are left out, and about each coordinate whose drive turns
             the other way than declared.
@@ -188,7 +187,7 @@ def _common_jitter(recordings: Sequence[Recording], machine: Machine, noise: Arr
 
 
 def with_all_measurements(data: Dataset, recordings: Sequence[Recording]) -> Dataset:
-    """Copy a data set and put back the measurements at the ends of a sensor's range, which a fit leaves out.
+    """Copy a data set with the measurements at the ends of sensors' ranges, which a fit leaves out.
 
     Args:
         data: Data set prepared from recordings whose saturated measurements were replaced by NaN.

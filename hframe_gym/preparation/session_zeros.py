@@ -103,7 +103,7 @@ def refine_encoder_zeros(data: Dataset, machine: Machine, reference: Dataset | N
 
 
 def may_correct_zeros(data: Dataset, machine: Machine) -> bool:
-    """Return whether effects of a machine may show errors of the zeros that were found without them."""
+    """Return whether a machine's effects may correct encoder zeros that were estimated without them."""
     return bool(machine.effects) and any(np.any(run.initial.resolves_stretch) for run in data.runs)
 
 

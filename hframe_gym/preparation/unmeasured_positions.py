@@ -1,4 +1,4 @@
-"""A machine whose declared positions no run measures is one of speeds.
+"""Drop the position sensors of a machine if the recordings contain only speeds.
 
 Templates declare an encoder beside a tachometer, and a log may have the speed alone. With a position sensor
 that measured nothing, an observer would correct nothing: it corrects speeds only where no sensor measures the
@@ -24,15 +24,15 @@ _LEFT_OUT = (
 def without_unmeasured_positions(
     recordings: Sequence[Recording], machine: Machine
 ) -> tuple[list[Recording], Machine, tuple[str, ...]]:
-    """Leave out the sensors of positions if no run has a measurement of any, but one of a speed.
+    """Leave out all position sensors if no run has a position, but some run has a speed.
 
     Args:
         recordings: Runs of a session.
         machine: Machine as declared.
 
     Returns:
-        Runs and machine without these sensors, and a sentence about them; the same runs and machine, and
-        none, if a position was measured.
+        Runs and machine without these sensors, and a sentence about them. The same runs and machine, and no
+        sentence, if a position was measured.
     """
     measured = np.any([np.isfinite(r.outputs).any(axis=0) for r in recordings], axis=0)  # (sensors,)
     speeds = np.array([s.of_velocity for s in machine.sensors], np.bool_)

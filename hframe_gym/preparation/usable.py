@@ -1,4 +1,4 @@
-"""What of a recording can be used: the path by which `check`, `identify` and `simulate` treat measurements.
+"""Remove unusable measurements from a recording, in the same way for `check`, `identify` and `simulate`.
 
 A recording is unwrapped first, and stamps that jitter around equal steps are replaced by these. Not usable
 are repetitions of the last measurement by a sensor that is slower than the log or silent, outliers, the
@@ -36,7 +36,7 @@ from .sensor_noise import sensor_noise, sensor_quantum
 
 
 class UsableRun(NamedTuple):
-    """A run in which measurements that are not usable are NaN.
+    """A run whose unusable measurements have been replaced by NaN.
 
     Attributes:
         measured: The run, unwrapped, without repetitions, outliers and silences.
@@ -88,11 +88,11 @@ def usable_run(recording: Recording, machine: Machine, log: LineLog | None = Non
 
 
 def from_first_measurement(recording: Recording, machine: Machine) -> Recording:
-    """Copy a run without rows before its first measurement, if drives may have moved the machine in them.
+    """Copy a run without the rows before its first measurement, if the machine may move in them.
 
-    Where a run begins at rest, it does not matter when the sensors begin to measure. Otherwise no measurement
-    tells the position of the first row, but the run can be simulated from the first row with one, like one
-    that was cut out of a longer log.
+    If a run begins at rest, it does not matter when the sensors begin to measure. Otherwise no measurement
+    gives the position of the first row, but the run can be simulated from the first row with a measurement
+    on.
 
     Returns:
         Copy; the same object if something is measured at rest, if nothing is measured at all, or if too few
@@ -109,10 +109,10 @@ def from_first_measurement(recording: Recording, machine: Machine) -> Recording:
 
 
 def without_unknown_voltage(recording: Recording, machine: Machine) -> Recording:
-    """Copy a recording without what its first row measures of the voltage before it, which is not known.
+    """Copy a recording without accelerations and currents in the first row.
 
-    These are accelerations and currents: they jump with the voltage, and their cells become NaN. If no sensor
-    measures such a quantity, the result is the recording itself.
+    These jump with the voltage, and the voltage before the first row is unknown; the cells become NaN. If no
+    sensor measures such a quantity, the result is the recording itself.
     """
     felt = np.array([s.sensed.jumps for s in machine.sensors], np.bool_)
     if not felt.any():
@@ -138,7 +138,7 @@ def _log_repetitions(before: Recording, after: Recording, machine: Machine, log:
 
 
 def rest_and_noise(recording: Recording, machine: Machine) -> tuple[int, Array, Array]:
-    """Estimate the sensors' noise from one run.
+    """Estimate rows at rest, quantization steps and noise of the sensors from one run.
 
     Args:
         recording: Run without gaps.

@@ -46,12 +46,13 @@ _CATCH_UP = 3.0  # times the largest step around a silence
 
 
 def usual_step(time_s: Times) -> float:
-    """Return the longest time from row to row that is no gap, s; infinite with fewer than two rows.
+    """Return the longest time between rows that does not count as a gap, s.
+
+    Infinite with fewer than two rows.
 
     Returns:
-        Time, s: the sampling period, which is the median step. A log of events has none: its rows are written
-        when a value arrives, with any step between them, and the last value holds until then. Its usual step
-        is the 95th percentile.
+        The sampling period (median step), s. A log of events has none, because a row is written whenever a
+        value arrives; there it is the 95th percentile of the steps.
     """
     steps = np.diff(time_s)
     if not len(steps):
@@ -62,7 +63,7 @@ def usual_step(time_s: Times) -> float:
 
 
 def missing_rows(time_s: Times) -> NDArray[np.int_]:
-    """Count the rows that are missing in each step, which is one of more than 1.5 usual steps (`usual_step`).
+    """Count the rows that are missing in each gap, a step of more than 1.5 usual steps (`usual_step`).
 
     Returns:
         Numbers of missing rows, shape (n - 1,).
@@ -219,16 +220,16 @@ def without_repetitions(recording: Recording) -> Recording:
 
 
 def without_silences(recording: Recording, machine: Machine) -> Recording:
-    """Copy a recording, with NaN (not measured) where a log repeats a value as the sensor sent none.
+    """Copy a recording, with NaN (not measured) where the log repeats a value because the sensor sent none.
 
     A machine that stops and goes on leaves a rest by one small step. After a lost connection, the next value
     is where the motion has arrived meanwhile. The repetitions between two values are removed if
 
-    - their time is at least five times as long as usual between the new values before and after,
-    - the motion has the same direction before, across and after it, and
-    - its step is more than three times as large as each one before and after, as no quantization step is, at
-      least half of what the slower of the speeds before and after makes of this time, and at most twice what
-      the faster one makes.
+    - they last at least five times as long as the usual time between new values before and after,
+    - the motion has the same direction before, across and after them, and
+    - the step across them is more than three times as large as each step before and after, which excludes
+      quantization, and fits the speeds: at least half of what the slower of the speeds before and after gives
+      in this time, and at most twice what the faster one gives.
 
     A current or an acceleration jumps with the command and is constant at standstill, so that its sensor is
     never silent by this rule.

@@ -13,7 +13,10 @@ _PARTS = ("README.md", "rig_a", "rig_b", "notebooks")  # those of the folder exa
 
 
 def examples_folder() -> Path:
-    """Return the folder with `rig_a`, of a wheel's package or the repository; InputError if there is none."""
+    """Return the folder with the example recordings, in the installed package or the repository.
+
+    Raise an InputError if there is none.
+    """
     for folder in (_PACKAGE / "examples", _PACKAGE.parent / "examples"):
         if (folder / "rig_a").is_dir():
             return folder

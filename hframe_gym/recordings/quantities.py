@@ -1,4 +1,4 @@
-"""The physical quantities of logs' columns: their units, the words that name them, and recognizing them.
+"""The physical quantities of logs' columns: their units and names, and how they are recognized.
 
 This module is the one place that knows which units and names belong to which quantity. A unit is evidence; a
 name is a guess, which the user may correct.
@@ -273,7 +273,7 @@ def normalize_unit(text: str) -> str:
 
 
 def is_unit(text: str) -> bool:
-    """Return whether a cell of a row below a header is a unit, or a mark such as "[#]" or "-" for none."""
+    """Return whether a cell of a row of units is a unit, or a mark such as "[#]" or "-" for no unit."""
     unit = normalize_unit(text)
     return unit in _QUANTITY_OF_UNIT or unit.lower() in _WITHOUT_DIMENSION
 
@@ -331,8 +331,8 @@ def _is_ending(name: str, ending: str) -> bool:
 def meaning_of(name: str, unit: str) -> Meaning:
     """Determine what a column contains from its name and its unit.
 
-    A unit decides, except where several quantities share it: percent is a duty cycle unless the name says of
-    what ("torque [%]"), and "nm" is a length unless the name is that of a torque.
+    The unit decides, unless several quantities have it: percent is a duty cycle unless the name states
+    another quantity ("torque [%]"), and "nm" is a length unless the name is that of a torque.
 
     Args:
         name: Name of the column without its unit.

@@ -39,11 +39,11 @@ def quantum_of(values: Array) -> float:
 
 
 def exact_quantum(values: Array, declared: float = 0.0) -> float:
-    """Determine a quantization step so exactly that thousands of steps can be counted.
+    """Determine a quantization step so accurately that thousands of steps can be counted.
 
     The smallest change of values in a file has the relative error of their rounding, which is too large to
-    tell 4096 steps from 4000 in a file with few digits. The step is therefore fitted to larger and larger
-    differences.
+    distinguish 4096 steps from 4000 in a file with few digits. The step is therefore fitted to larger and
+    larger differences.
 
     Args:
         values: Values of one channel, NaN where not measured, shape (n,).

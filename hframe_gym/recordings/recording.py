@@ -209,7 +209,7 @@ def _voltages(path: Path, columns: Mapping[str, Array], drive: Drive) -> Array:
 
 
 def recorded_commands(machine: Machine, inputs: Array) -> Array:
-    """Convert `inputs`, V (A, Nm), shape (n, drives), to commands; duty cycles are of the rated voltage."""
+    """Convert `inputs`, V (A, Nm), shape (n, drives), to commands as a file states them (duty cycles)."""
     fractions = [DRIVE_KINDS.get(drive.kind).fraction for drive in machine.drives]
     if not any(fractions):
         return inputs
@@ -238,7 +238,7 @@ def _refuse_gaps(path: Path, time_s: Array) -> None:
 
 
 def write_trajectory(path: str | Path, trajectory: Trajectory, inputs: Array, machine: Machine) -> None:
-    """Write a simulated run, with its `inputs`, V, shape (n, drives), nine digits each, for `load_recording`.
+    """Write a simulated run with its `inputs`, V, shape (n, drives), as a recording with nine digits.
 
     If writing fails, an existing file is unchanged.
 

@@ -52,9 +52,9 @@ class Wrap(NamedTuple):
 
     Attributes:
         modulus: Size of the jumps, in the unit of the values.
-        name: What the modulus is, such as "one turn" or "a counter of 16 bits".
+        name: Description of the modulus, such as "one turn" or "a counter of 16 bits".
         jumps: Number of jumps.
-        lost: Number of measurements that belong to no angle, see `lost_rows`.
+        lost: Number of measurements at no valid angle, see `lost_rows`.
     """
 
     modulus: float
@@ -69,13 +69,13 @@ class Wrap(NamedTuple):
         return f"{clause}; {self.describe_lost()}" if self.lost else clause
 
     def describe_lost(self) -> str:
-        """Describe the measurements that belong to no angle in a clause."""
+        """Describe in a clause how many measurements are at no valid angle, such as in a dead angle."""
         rows = f"{self.lost} rows in which" if self.lost > 1 else "one row in which"
         return f"{rows} it switches between its ends or rests in its dead angle count as not measured"
 
 
 def known_moduli(quantum: float, *, angle: bool) -> dict[float, str]:
-    """Return the moduli of angles and counters, by size.
+    """Return the sizes at which angles and counters usually wrap, with a name for each.
 
     Args:
         quantum: Quantization step in the unit of the values; 1 for raw counts, 0 if there is none.
@@ -137,7 +137,7 @@ def _motion_around(changes: Array, jump: int, extent: float) -> float:
 
 
 def switching_rows(values: Array) -> NDArray[np.bool_]:
-    """Return the rows in which a value was measured on its way from one end of the range to the other.
+    """Return the rows measured while the sensor switched from one end of its range to the other.
 
     Such a value lies between the one before and the one after it, which are more than half of the range
     apart, and it is farther away from both than regular changes are large.
@@ -146,7 +146,7 @@ def switching_rows(values: Array) -> NDArray[np.bool_]:
         values: Values of one channel, NaN where not measured, shape (n,).
 
     Returns:
-        Rows whose value belongs to no angle if the values wrap, shape (n,).
+        Rows whose value is at no valid angle if the values wrap, shape (n,).
     """
     switching = np.zeros(len(values), np.bool_)
     measured = np.flatnonzero(np.isfinite(values))
@@ -163,12 +163,12 @@ def switching_rows(values: Array) -> NDArray[np.bool_]:
 
 
 def lost_rows(values: Array) -> NDArray[np.bool_]:
-    """Return the rows in which values that wrap belong to no angle.
+    """Return the rows in which values that wrap are at no valid angle.
 
-    They were measured on the way from one end to the other (`switching_rows`), or while the sensor rested at
-    an end, in a dead angle: within a few changes of nearly all jumps, the value stays at the smallest or
-    largest one for several times as long as usual. The changes between rest and jump belong to the dead angle
-    as well.
+    They were measured while the sensor switched from one end to the other (`switching_rows`), or while it
+    rested at an end, in a dead angle: within a few changes of nearly all jumps, the value stays at the
+    smallest or largest one for several times as long as usual. The changes between rest and jump belong to
+    the dead angle as well.
 
     Args:
         values: Values of one channel that wraps, NaN where not measured, shape (n,).
@@ -201,7 +201,7 @@ def lost_rows(values: Array) -> NDArray[np.bool_]:
 
 
 def unwrapped(values: Array, modulus: float, time_s: Times) -> Array:
-    """Unwrap values: add multiples of the modulus, so that no change between measurements exceeds half.
+    """Unwrap values: add multiples of the modulus, so that no change between measurements exceeds half of it.
 
     In a gap of the times, a fast motion passes the end several times. There, the change is the one that is
     closest to the motion at the mean of the speeds before and after the gap.
@@ -275,10 +275,11 @@ class EndJumps(NamedTuple):
 
 
 def jumps_between_ends(values: Array, low: float, high: float) -> EndJumps | None:
-    """Find jumps between the ends of a range, if a channel jumps only so and moves slowly otherwise.
+    """Find jumps between the ends of a range in a channel that otherwise changes slowly.
 
-    An angle that begins anew jumps so, whatever the size of its turn, and so does a potentiometer that passes
-    its dead angle. An outlier returns at once, and a fast motion needs several rows.
+    An angle that wraps jumps like this, whatever the size of its turn, and so does a potentiometer that
+    passes its dead angle. An outlier, in contrast, returns at once, and a fast motion takes several rows. The
+    result is None if other jumps exist.
 
     Args:
         values: Values of one channel in one run, NaN where not measured, shape (n,).
@@ -304,13 +305,14 @@ def jumps_between_ends(values: Array, low: float, high: float) -> EndJumps | Non
 
 
 def shared_wraps(recordings: Sequence[Recording], machine: Machine) -> dict[tuple[str, str], Wrap]:
-    """Find the channels that wrap in a run as in another one, but do not show it there by themselves.
+    """Find channels that wrap in a run, as another run of the same sensor shows.
 
-    A run with few jumps, or with an outlier beside them, does not tell the size of the turn. In another run
-    of the same sensor, it is known; jumps between the same ends are then wraps.
+    A run with few jumps, or with an outlier beside them, does not determine the size of the turn. If another
+    run does, jumps between the same ends count as wraps.
 
     Returns:
-        Wraps by the name of the run and of the channel, in the sensors' units; none of those of `wraps_of`.
+        Wraps by the name of the run and of the channel, in the sensors' units, without those that `wraps_of`
+        finds.
     """
     alone = [wraps_of(recording, machine) for recording in recordings]
     shared = {}
@@ -332,7 +334,7 @@ def shared_wraps(recordings: Sequence[Recording], machine: Machine) -> dict[tupl
 
 
 def without_shared_wraps(recordings: Sequence[Recording], machine: Machine) -> list[Recording]:
-    """Copy the runs in which a sensor wraps as in others (`shared_wraps`), made continuous."""
+    """Copy the runs, and make sensors continuous that wrap as other runs show (`shared_wraps`)."""
     shared = shared_wraps(recordings, machine)
     result = []
     for recording in recordings:

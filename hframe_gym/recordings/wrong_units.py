@@ -57,7 +57,7 @@ class WrongUnitError(InputError):
 
 
 def refuse_wrong_units(path: Path, outputs: Array, machine: Machine) -> None:
-    """Refuse channels in millimeters or degrees, by their size, their span and ratios that belts impose.
+    """Raise an error for channels in millimeters or degrees, recognized by size, span and belt ratios.
 
     Args:
         path: File of the run, for the message.

@@ -1,4 +1,4 @@
-"""Columns of a log that are proposed for channels to which no name assigns one."""
+"""Propose columns of a log for channels that no column's name matches."""
 
 from __future__ import annotations
 

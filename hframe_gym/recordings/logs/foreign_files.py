@@ -26,7 +26,7 @@ _JSON_START = re.compile(rb"(?:\xef\xbb\xbf)?\s*(?:\{\s*[\"}]|\[\s*(?:[\"\[{]|-?
 
 
 def refuse_foreign_file(path: Path, start: bytes) -> None:
-    """Raise an InputError, which says how to export the data, for a kind of file that is not read."""
+    """Raise an InputError for a file of a kind that is not read; the message says how to export the data."""
     for beginning, problem, advice in _BY_START:
         if start.startswith(beginning):
             raise InputError(f"{path}: {problem}; {advice}")

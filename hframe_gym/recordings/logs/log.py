@@ -46,12 +46,12 @@ class LogColumn:
 
     @property
     def in_file(self) -> tuple[LogColumn, ...]:
-        """The columns of the file that this one needs: itself, or the terms of a sum."""
+        """The columns of the file from which this one is computed: itself, or the terms of a sum."""
         return tuple(column for _, column in self.terms) or (self,)
 
     @property
     def meaning(self) -> Meaning:
-        """Physical quantity of the column by its name and unit; of a sum, that of its first term."""
+        """Physical quantity of the column by its name and unit; for a sum, that of its first term."""
         if self.terms:
             return self.in_file[0].meaning
         if self.kind == "stamp":
@@ -119,10 +119,10 @@ class Log:
         return [values[column] for column in columns], remarks
 
     def columns_called(self, reference: str) -> list[LogColumn]:
-        """Find the columns that a user may mean by a reference, none if no column fits.
+        """Find the columns that match a user's reference; none if no column does.
 
-        The first of these criteria that a column meets counts: number equal to the reference; equal header;
-        equal header but for upper and lower case; equal name without unit but for upper and lower case.
+        The first criterion that any column meets decides: number equal to the reference; equal header; equal
+        header except for case; equal name without unit except for case.
 
         Args:
             reference: "#3" for the third column, a header, or a name without its unit.
@@ -135,9 +135,9 @@ class Log:
         return exact or same_header or same_name
 
     def terms_called(self, reference: str) -> tuple[tuple[float, LogColumn], ...]:
-        """Find the columns that a user means by a sum such as "x + y" or "-#2 - #3", with their signs.
+        """Find the columns of a user's sum, such as "x + y" or "-#2 - #3", with their signs.
 
-        Names may contain the signs themselves: the longest name that a column has counts.
+        Names may themselves contain signs: the longest matching name is used.
 
         Returns:
             Sign and column of each term; nothing if the reference is no sum of columns that `columns_called`
@@ -154,7 +154,7 @@ class Log:
         return ()
 
     def columns_named_like(self, channel: str) -> list[LogColumn]:
-        """Find the column with a channel as header, such as "x_m", or all with its name without the unit."""
+        """Find the column whose header is a channel, such as "x_m", or all with its name without the unit."""
         name = plain_name(split_unit(channel)[0])
         named = [column for column in self.columns if plain_name(column.name) == name]
         return [column for column in self.columns if column.header == channel] or named
@@ -166,7 +166,10 @@ def plain_name(name: str) -> str:
 
 
 def headers_text(columns: Sequence[LogColumn]) -> str:
-    """List the headers of columns, with the units of a row of units, for messages; beyond 200, count them."""
+    """List the headers of columns for a message, with units from a row of units.
+
+    Only count those beyond 200.
+    """
     listed = [
         c.header if c.name != c.header or not c.unit else f"{c.header} [{c.unit}]" for c in columns[:_LISTED]
     ]
@@ -175,7 +178,7 @@ def headers_text(columns: Sequence[LogColumn]) -> str:
 
 
 def log_columns(headers: Sequence[str], units: Sequence[str], kinds: Sequence[str]) -> tuple[LogColumn, ...]:
-    """Build the columns of a table; repeated names get a number, and empty ones that of the column.
+    """Build the columns of a table; a repeated name gets a number, an empty one is named by its position.
 
     Args:
         headers: Headers as written in the file, possibly with units.
@@ -195,7 +198,7 @@ def log_columns(headers: Sequence[str], units: Sequence[str], kinds: Sequence[st
 
 
 def vector_log(path: Path, vectors: Sequence[tuple[str, NDArray[np.float64]]], kind: str) -> Log:
-    """Build the log of a file whose vectors have all been read, such as an archive of arrays.
+    """Build a log from vectors in memory, such as those of an archive of arrays.
 
     Args:
         vectors: Names and values, shape (rows,) each, of possibly different lengths.

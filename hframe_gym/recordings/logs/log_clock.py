@@ -42,15 +42,14 @@ _FEWEST_TIMES = 10
 
 
 def continued_counter(times: Array) -> tuple[Array, str]:
-    """Continue times of a counter that started anew, such as one of 32 bits in microseconds after 71.6 min.
+    """Make times continuous across overflows of a counter, such as 32 bits of microseconds after 71.6 min.
 
     Args:
         times: Times in the unit of the log, NaN where there is none, shape (n,).
 
     Returns:
-        times: Times in the unit of the log, shape (n,), that go on across each start; those given if they do
-            not go back, or go back otherwise.
-        remark: What was done, for the user; "" for nothing.
+        times: Continuous times in the unit of the log, shape (n,); the given times if they do not go back, or
+        not due to an overflow. remark: Note for the user on the change; "" if nothing was changed.
     """
     for modulus, words in _COUNTERS.items():
         continued, starts = _continued(times, modulus, None)
@@ -60,7 +59,7 @@ def continued_counter(times: Array) -> tuple[Array, str]:
 
 
 def continued_over_midnight(times: Array) -> tuple[Array, str]:
-    """Continue times of day that pass midnight.
+    """Make times of day continuous across midnight.
 
     Args:
         times: Times of day, s, NaN where there is none, shape (n,).
@@ -126,7 +125,7 @@ def _present(times: Array) -> Array:
 
 
 def replaced_rows(time_s: Array) -> tuple[NDArray[np.bool_], str]:
-    """Find rows whose time the next row repeats with other values, in a log in which that is rare.
+    """Find rows that the next row replaces: it has the same time and other values, which is rare in this log.
 
     Args:
         time_s: Times, s, NaN where there is none, shape (n,).
@@ -146,7 +145,7 @@ def replaced_rows(time_s: Array) -> tuple[NDArray[np.bool_], str]:
 
 
 def repair_of_times(time_s: Array) -> str:
-    """Say how times that do not increase can be repaired, as the end of a message.
+    """Return advice, as the end of a message, on how to repair times that do not increase.
 
     Args:
         time_s: Times, s, of which some repeat or go back, shape (n,).

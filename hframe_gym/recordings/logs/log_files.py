@@ -87,12 +87,12 @@ def log_name(path: Path) -> str:
 
 
 def run_of(log: Log) -> str:
-    """Return the name of the run to which a log is converted, before it is cut."""
+    """Return the name of the run into which a log is converted, before it is cut into several."""
     return log.run or "_".join(filter(None, (log_name(log.path), log.part)))
 
 
 def log_size(path: Path) -> int:
-    """Return the size of a log, or of a folder that is one log, in bytes, for the display of progress."""
+    """Return the size of a log, or of a folder that is one log, in bytes, to display the progress."""
     return (
         sum(p.stat().st_size for p in path.iterdir() if p.is_file()) if path.is_dir() else path.stat().st_size
     )

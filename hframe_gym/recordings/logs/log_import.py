@@ -55,7 +55,7 @@ class Interval(NamedTuple):
 
 
 def parse_interval(text: str) -> Interval:
-    """Read an interval of times, s, as --cut has it: "FROM:TO", or "LOG=FROM:TO" for one of several logs."""
+    """Read a time interval, s, of the option --cut: "FROM:TO", or "LOG=FROM:TO" for one of several logs."""
     name, _, span = text.rpartition("=")
     first, _, last = span.partition(":")
     try:

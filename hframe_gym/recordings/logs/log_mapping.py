@@ -119,7 +119,7 @@ class ProposedColumns(NamedTuple):
 
 
 def propose_columns(log: Log, machine: Machine) -> ProposedColumns:
-    """Say which columns of a log `map_columns` assigns by name, and propose some for other channels."""
+    """Assign columns of a log to channels by name, as `map_columns` does, and propose others for the rest."""
     return _LogMapping(log, machine, MappingOptions()).proposals()
 
 

@@ -81,7 +81,7 @@ class Conversion:
 
 
 class UnitConversion(NamedTuple):
-    """How a column in some unit becomes the values of a channel.
+    """Conversion of a column in some unit to the values of a channel.
 
     Attributes:
         conversion: Conversion to the unit of the channel; for a speed, to that unit per second.
@@ -105,10 +105,10 @@ def channel_dimension(machine: Machine, channel: str) -> Dimension:
     """Return the quantity of a channel.
 
     Returns:
-        "time"; for an output that of its unit, such as "length", "angular speed" or "current". For an input,
-        the command of its drive: "duty cycle", "current" or "torque", for a set point "angle", "linear speed"
-        and the like; if the drive has voltages, "current", "torque" or "force" where the channel's name ends
-        in _A, _Nm or _N, else "voltage".
+        "time" for the times. For an output, the quantity of its unit, such as "length", "angular speed" or
+        "current". For an input, the command of its drive: "duty cycle", "current", "torque", or for a set
+        point "angle", "linear speed" and the like. For a drive of voltages, the end of the channel's name
+        decides: "current" for _A, "torque" for _Nm, "force" for _N, else "voltage".
     """
     if channel == TIME:
         return "time"
@@ -216,11 +216,10 @@ def _input_units(machine: Machine, channel: str, dimension: Dimension) -> dict[s
 
 
 def wrong_unit_message(machine: Machine, channel: str, unit: str) -> str:
-    """Write the message, without file and column, for an impossible unit, such as mm for a voltage.
+    """Write the message on an impossible unit, such as mm for a voltage, without file and column.
 
-    It proposes the options --unit, with the possible units, and --scale. If `unit` is encoder counts, it also
-    proposes a factor: the declared resolution of the sensor. If it is a number of bits, the factor of a duty
-    cycle follows.
+    It proposes the options --unit, with the possible units, and --scale. For encoder counts, it also proposes
+    a factor, the declared resolution of the sensor; for a number of bits, the factor of a duty cycle.
     """
     factor = f"a factor to {SI_UNITS[channel_dimension(machine, channel)]} by --scale {channel}=FACTOR"
     resolution = machine.sensor(channel).resolution if channel in machine.output_channels else 0.0
@@ -237,7 +236,7 @@ def wrong_unit_message(machine: Machine, channel: str, unit: str) -> str:
 
 
 def scaled_speed_message(machine: Machine, channel: str, unit: str) -> str:
-    """Write the message, without file and column, for a column of speed with a factor (--scale) but no unit.
+    """Write the message on a column of speed with a factor (--scale) but no unit, without file and column.
 
     Such a column is refused, because it is not known whether its values times the factor are speeds or
     positions. The message proposes the option --unit with which the speed is integrated.

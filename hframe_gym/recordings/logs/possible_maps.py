@@ -24,10 +24,10 @@ _COUNTS = ("row number", "count")
 
 
 def obstacle(machine: Machine, channel: str, column: Meaning, unit: str | None, *, scaled: bool) -> str:
-    """Say why a column cannot be a channel because it is another physical quantity.
+    """Return why a column cannot be a channel, because it is another physical quantity, or "" if it can.
 
-    A unit in the log is certain, a name is a guess: where the controller's output may have such a name, a
-    unit that the user states overrides it. A column whose header says nothing can be everything.
+    A unit in the log is certain, a name is a guess: a unit that the user states overrides the name if a
+    controller's output may have such a name. A column whose header says nothing can be any quantity.
 
     Args:
         unit: Unit that the user stated for the channel (--unit); None if none is stated.

@@ -275,10 +275,10 @@ def fields(table: type[Table]) -> dict[str, FieldInfo]:
 
 
 def field_units(info: FieldInfo) -> tuple[str, ...]:
-    """Return the units that a quantity in machine.json may have; none for a field that holds no quantity.
+    """Return the possible units of a field of machine.json; none for a field without a quantity.
 
-    Where there are two, the first is for linear coordinates and the second for rotary ones. Noise and
-    resolution of a sensor have the unit of what it measures.
+    Of two units, the first is for linear coordinates and the second for rotary ones. Noise and resolution of
+    a sensor have the unit of its measurement.
     """
     extra: Any = info.json_schema_extra or {}
     return tuple(extra.get("properties", {}).get("unit", {}).get("enum", ()))

@@ -28,10 +28,10 @@ _TIME_STAMP = re.compile(rf"(?:{_DATE}[T ]+)?\d{{1,2}}:\d\d:\d\d(?:[.,]\d+)?(?:Z
 
 
 def split_row(line: str, separator: str) -> list[str]:
-    """Split a line into cells without blanks and quotation marks around them; several blanks separate as one.
+    """Split a line into cells, without blanks and quotation marks around them.
 
-    A separator between quotation marks does not split a cell. If the separator is a blank, however, quotation
-    marks have no effect and are kept.
+    Several blanks count as one separator. A separator between quotation marks does not split a cell, unless
+    the separator is a blank: then quotation marks have no effect and are kept.
     """
     if separator == WHITESPACE:
         return line.split()
@@ -46,7 +46,7 @@ def split_row(line: str, separator: str) -> list[str]:
 
 
 def is_missing(cell: str) -> bool:
-    """Return whether a cell has no value: whether it is empty or a word such as NA, NaN, null or #N/A."""
+    """Return whether a cell has no value: it is empty, or a word such as NA, NaN, null or #N/A."""
     return _MISSING.fullmatch(cell) is not None
 
 
@@ -56,12 +56,12 @@ def is_stamp(cell: str) -> bool:
 
 
 def is_comment(line: str) -> bool:
-    """Return whether a line is a comment, which a missing value such as #N/A is not."""
+    """Return whether a line is a comment; a missing value such as #N/A at its start is none."""
     return line.lstrip().startswith(_COMMENT_SIGNS) and not is_missing(re.split(r"[,;\t ]", line.lstrip())[0])
 
 
 def detect_separator(lines: Sequence[str]) -> str:
-    """Return the separator under which most lines are rows of numbers, else that of the last line."""
+    """Return the separator that makes most lines rows of numbers, or else the one that fits the last line."""
     scores = {}
     written = [line for line in lines if line.strip() and not is_comment(line)]
     for separator in SEPARATORS:
@@ -80,7 +80,7 @@ def detect_separator(lines: Sequence[str]) -> str:
 
 
 def is_data(row: Sequence[str], least: float = 0.5) -> bool:
-    """Return whether the fraction `least`, 0 to 1, of cells with a value are numbers or time stamps."""
+    """Return whether at least the fraction `least`, 0 to 1, of nonempty cells are numbers or time stamps."""
     numbers = texts = 0
     for cell in row:
         if is_number_or_stamp(cell):
@@ -91,7 +91,7 @@ def is_data(row: Sequence[str], least: float = 0.5) -> bool:
 
 
 def is_row(row: Sequence[str]) -> bool:
-    """Return whether a row belongs to the data: whether it has numbers, or states that it has no values."""
+    """Return whether a row belongs to the data: it has numbers, or its cells mark missing values."""
     return is_data(row) or (any(row) and all(map(is_missing, row)))
 
 

@@ -42,11 +42,11 @@ class _LineAbove:
 def detect_header(
     lines: Sequence[str], cells: Sequence[Sequence[str]], first: int, widths: Sequence[int], separator: str
 ) -> tuple[list[str], list[str], list[str]]:
-    """Find names ("#1", ... without a header) and units of columns above the first numbers, and deviations.
+    """Find the names and units of columns above the data of a table, and deviations from a plain header.
 
-    They are in the last line above the data and in the line before it, in either order; if the last line that
-    is no comment does not fit, they are in comments. `widths` are the numbers of cells of the rows, and of
-    names that fit.
+    Names are "#1", ... without a header. Names and units are in the last two lines above the data, in either
+    order; if the last line that is no comment does not fit, they are in comments. `widths` are the possible
+    numbers of cells in a row, and thus of names.
     """
     deviations = ["its first line is sep="] if lines[0].lower().startswith("sep=") else []
     above = []

@@ -67,7 +67,7 @@ class TextFormat:
     edits: tuple[tuple[re.Pattern[str], str], ...] = ()
 
     def edited(self, text: str) -> str:
-        """Remove from complete lines below the header what does not belong to a table, see `edits`."""
+        """Apply `edits` to complete lines below the header: remove what does not belong to a table."""
         for pattern, replacement in self.edits:
             text = pattern.sub(replacement, text)
         return text

@@ -42,7 +42,7 @@ _TIME_ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)$")
 
 
 def cumulative(progress: Callable[[int, int], None] | None, total: int) -> Progress:
-    """Return a function that adds up increments of work and reports sum and total to `progress`, if any."""
+    """Return a function that adds up increments of work and reports sum and `total` to `progress`, if any."""
     done = 0
 
     def add(increment: int) -> None:

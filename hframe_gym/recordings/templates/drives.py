@@ -35,7 +35,7 @@ _AT_REST: dict[str, Callable[[Drive], float]] = {
 
 
 def with_motor_values(machine: Machine, drive: Drive, options: MachineOptions) -> Drive:
-    """Return a drive with the values of the options."""
+    """Return a copy of a drive with the motor values that the options state."""
     new: dict[str, float] = {}
     if options.Kt is not None:
         new |= {"Kt": options.Kt, "Ke": options.Kt}
@@ -54,7 +54,7 @@ def with_motor_values(machine: Machine, drive: Drive, options: MachineOptions) -
 
 
 def shaft_inertias(machine: Machine) -> Array:
-    """Return the inertia that each motor shaft moves while other drives hold, kg m^2, shape (drives,)."""
+    """Return the inertia that each motor shaft moves, with locked other drives, kg m^2, shape (drives,)."""
     per_axis = rest_positions_per_axis(machine)  # (coordinates, axes)
     of_drives = per_axis[[machine.coordinate_names.index(d.coordinate) for d in machine.drives]]
     axes = np.linalg.inv(of_drives)  # travel of each axis per position of each drive
@@ -65,9 +65,10 @@ def shaft_inertias(machine: Machine) -> Array:
 
 
 def with_command(machine: Machine, drive: Drive, kind: str | None, inertia: float) -> Drive:
-    """Return a drive of another kind, whose column and largest command or torque are those of the same motor.
+    """Return a drive of another kind (such as current or position) with the same motor.
 
-    `inertia` is what its shaft moves, kg m^2.
+    Its channel, and its largest command or torque, follow from the motor. `inertia`, kg m^2, is what the
+    motor shaft moves.
     """
     if kind is None or kind == drive.kind:
         return drive
@@ -112,9 +113,9 @@ def _set_point_drive(drive: Drive, kind: str, channel: str, inertia: float) -> D
 
 
 def reaching_workspace(machine: Machine, drive: Drive) -> Drive:
-    """Return a drive whose largest commanded position is that in the farthest corner of the workspace.
+    """Return a drive whose largest position command reaches the farthest corner of the workspace.
 
-    That of a pulley is rounded up to whole rad. Other drives are returned as they are.
+    The command of a pulley is rounded up to an integer in rad. Other drives are returned unchanged.
     """
     if drive.command != "position":
         return drive

@@ -40,7 +40,7 @@ class TemplateQuestion:
 
 
 def template_questions(like: str) -> tuple[TemplateQuestion, ...]:
-    """Return the options of a template in the order of the questions; they follow from its machine."""
+    """Return the questions to ask about a template, one for each of its options, in order."""
     machine = BUILTIN_MACHINES[like]()
     drive, axes = machine.drives[0], [machine.coordinate(name) for name in machine.tool_axes]
     moved = machine.coordinate(drive.coordinate)

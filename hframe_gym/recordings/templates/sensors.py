@@ -17,7 +17,7 @@ QUADRATURE = 4  # edges per line of an encoder
 def sensors_of(
     machine: Machine, gear_ratios: Mapping[str, float], options: MachineOptions
 ) -> tuple[Sensor, ...]:
-    """Return the sensors: encoders on the motor shafts, then those of the carriages."""
+    """Return the sensors of a new machine: encoders on the motor shafts, then those of the carriages."""
     carriages = [s for s in machine.sensors if s.kind != "encoder"] if options.linear_sensor else []
     if options.encoder_lines is None:
         ratio = {d.coordinate: gear_ratios[d.coordinate] / d.gear_ratio for d in machine.drives}
@@ -50,7 +50,7 @@ def _parts(machine: Machine, kind: str) -> tuple[str, tuple[str, ...]]:
 
 
 def further_sensors(machine: Machine) -> dict[str, str]:
-    """Return the sensors that a machine may have beside its own, KIND@PART, and what each measures."""
+    """Return the additional sensors that a machine may have, as KIND@PART, with what each measures."""
     load_plugins()  # may register kinds
     present = [(sensor.kind, sensor.row) for sensor in machine.sensors]
     choices = {}
@@ -63,7 +63,7 @@ def further_sensors(machine: Machine) -> dict[str, str]:
 
 
 def further_sensor(machine: Machine, text: str) -> Sensor:
-    """Return the sensor of a text KIND@PART; its channel is named by the part and ends in its unit."""
+    """Create the sensor that a text KIND@PART describes; its channel is named by the part and its unit."""
     kind, separator, part = text.partition("@")
     if not separator:
         raise InputError(f"--sensor {text}: write KIND@PART, for example speed@{machine.tool_axes[0]}")

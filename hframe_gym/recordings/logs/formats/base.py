@@ -28,7 +28,7 @@ class LogFormat(ABC):
     Attributes:
         suffixes: Endings of the names of its files, in lower case, by which they are found in a folder; those
             of texts need not be repeated.
-        precedence: Of the formats that recognize a file, the one with the highest opens it.
+        precedence: Of several formats that recognize a file, the one with the highest precedence opens it.
     """
 
     suffixes: ClassVar[tuple[str, ...]] = ()
@@ -36,7 +36,7 @@ class LogFormat(ABC):
 
     @abstractmethod
     def recognizes(self, path: Path, start: bytes) -> bool:
-        """Return whether a file, damaged or not, has this format, by its content or, if need be, by its name.
+        """Return whether a file, even a damaged one, has this format, by its content or else by its name.
 
         Args:
             path: File of a log, or folder that `logs_in` returns.
@@ -56,16 +56,16 @@ class LogFormat(ABC):
         """
 
     def logs_in(self, folder: Path) -> list[Path]:
-        """Return the files to open, or the folder itself, if it is as a whole a data set of this format."""
+        """Return the files of a folder to open, or the folder itself if it is one data set of this format."""
         return []
 
     def is_log(self, path: Path) -> bool:
-        """Return whether a file with one of the endings is a log, and not another one such as readme.txt."""
+        """Return whether a file with a matching ending is a log, and not a document such as readme.txt."""
         return True
 
 
 def require_extra(path: Path, what: str, extra: str, modules: Sequence[str], advice: str) -> None:
-    """Refuse a file of a kind, such as "HDF5 files", with advice, if a module of the extra is missing."""
+    """Raise an InputError with advice if a module that files of a kind (`what`) need is missing."""
     if any(importlib.util.find_spec(module) is None for module in modules):
         raise InputError(f"{path}: reading {what} needs pip install 'hframe_gym[{extra}]'; or {advice}")
 

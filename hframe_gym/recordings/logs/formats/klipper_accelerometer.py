@@ -28,7 +28,7 @@ class KlipperAccelerometerLogs(LogFormat):
 
     @override
     def open(self, path: Path) -> list[Log]:
-        """Open the table, whose columns get their units."""
+        """Open the table and assign units to its columns."""
         with open(path, "rb") as file:
             header = _header(file.read(START_BYTES))
         if header != _HEADER:

@@ -56,7 +56,7 @@ class KlipperDataLogs(LogFormat):
 
     @override
     def is_log(self, path: Path) -> bool:
-        """Leave out other compressed JSON."""
+        """Return whether compressed JSON is a log, and not another file such as an index."""
         with open(path, "rb") as file:
             try:
                 return _END in zlib.decompressobj(31).decompress(file.read(_BLOCK))

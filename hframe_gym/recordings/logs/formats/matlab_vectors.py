@@ -138,8 +138,8 @@ def objects(path: str) -> dict[str, Any]:
 
     Returns:
         Dictionaries by name of the variable, with the properties as MATLAB names them: columns of a table;
-        Time, s, and Data of a timeseries. Other objects are left out; all of them without the package mat-io,
-        or if it does not understand one, such as a stream of Simulink.
+        Time, s, and Data of a timeseries. Other objects are left out. Empty without the package mat-io, or if
+        it cannot read an object of the file, such as a stream of Simulink.
     """
     if importlib.util.find_spec("matio") is None:
         return {}

@@ -41,12 +41,12 @@ class ODriveLogs(LogFormat):
 
     @override
     def recognizes(self, path: Path, start: bytes) -> bool:
-        """Recognize names of properties in the first lines of a text."""
+        """Recognize a text file by names of ODrive properties in its first lines."""
         return _OWN.search(start) is not None
 
     @override
     def open(self, path: Path) -> list[Log]:
-        """Open the table, whose columns get their units where the header has none."""
+        """Open the table, and assign units to the columns whose header has none."""
         log = open_text_table(path, unit_of=_unit)
         assumed = [column.header for column in log.columns if _unit(column.header)]
         if not assumed:

@@ -27,7 +27,7 @@ class RosDecoder:
         self._store.max_sequence_length = _LONGEST_LIST
 
     def add_definition(self, name: str, text: str, *, idl: bool) -> None:
-        """Make a type of messages known.
+        """Register the definition of a message type.
 
         Args:
             name: Name of the type, such as "sensor_msgs/msg/JointState".
@@ -55,14 +55,14 @@ class RosDecoder:
             raise UnreadableError(f"faulty definition: {one_line(error)}") from None
 
     def add_known_types(self) -> None:
-        """Make the usual types of ROS 2 known, for bags of older versions, which have no definitions."""
+        """Register the usual types of ROS 2, for bags of older versions, which contain no definitions."""
         from rosbags.typesys import Stores, get_typestore
 
         self._store = get_typestore(Stores.ROS2_HUMBLE)
         self._store.max_sequence_length = _LONGEST_LIST
 
     def decoder(self, name: str, *, ros1: bool) -> Callable[[bytes], Any]:
-        """Return the function that decodes a message of ROS 1 or 2, or raise UnreadableError."""
+        """Return the function that decodes messages of a type; UnreadableError if the type is unknown."""
         if name not in self._store.fielddefs:
             raise UnreadableError("its definition is not in the file")
         decode = self._store.deserialize_ros1 if ros1 else self._store.deserialize_cdr
@@ -75,7 +75,10 @@ def ros2_name(name: str) -> str:
 
 
 def decoded(where: str, number: int, decode: Callable[[bytes], Any], content: bytes) -> Any:
-    """Decode message `number` (from 1) of a file and topic, `where`; an InputError if it is damaged."""
+    """Decode one message.
+
+    If it is damaged, an InputError names its file and topic `where`, and its number from 1.
+    """
     try:
         return decode(content)
     except Exception as error:  # decoders raise many types for damaged messages

@@ -27,7 +27,7 @@ class RosBagLogs(LogFormat):
 
     @override
     def recognizes(self, path: Path, start: bytes) -> bool:
-        """Recognize a bag of ROS 1 and a database by their beginnings, and a folder by its description."""
+        """Recognize a bag of ROS 1 or a database by its first bytes, and a folder by its metadata.yaml."""
         return start.startswith((b"#ROSBAG", b"SQLite format 3\0")) or _is_bag(path)
 
     @override

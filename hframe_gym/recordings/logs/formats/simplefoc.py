@@ -40,7 +40,7 @@ class SimpleFocLogs(LogFormat):
 
     @override
     def open(self, path: Path) -> list[Log]:
-        """Open the table, whose columns get their names if it has 4 or 7 of them."""
+        """Open the table; columns get names if there are 4 or 7 of them."""
         log = open_text_table(path, ("it is the output of SimpleFOC's monitor",))
         unnamed = [
             column for column in log.columns if column.kind == "number" and column.header.startswith("#")

@@ -82,13 +82,13 @@ class SysIdTest:
 
 
 def are_states(texts: Iterable[str]) -> bool:
-    """Return whether texts mark the tests of SysId: all are states, and a test is among them."""
+    """Return whether texts mark tests of SysId: all are known states, and at least one is a test."""
     different = set(texts)
     return different <= {*STATES, NO_TEST} and not different <= {NO_TEST}
 
 
 def tests_of_states(states: Sequence[str]) -> list[tuple[str, int, int]]:
-    """Return the tests in a sequence of states: the state, its first index, and the one after its last."""
+    """Return the tests in a sequence of states: state, index of the first row, index after the last row."""
     changes = [k for k in range(len(states)) if k == 0 or states[k] != states[k - 1]]
     ends = [*changes[1:], len(states)]
     return [
@@ -99,7 +99,7 @@ def tests_of_states(states: Sequence[str]) -> list[tuple[str, int, int]]:
 
 
 def numbered(names: Sequence[str]) -> list[str]:
-    """Return names that differ: those that occur more than once get a number, "dynamic-forward_2"."""
+    """Make names unique: those that occur more than once get a number, such as "dynamic-forward_2"."""
     counts, numbers = Counter(names), Counter[str]()
     different = []
     for name in names:
@@ -117,12 +117,12 @@ class SysIdLogs(LogFormat):
 
     @override
     def recognizes(self, path: Path, start: bytes) -> bool:
-        """Recognize JSON, but not compressed one, which is that of Klipper's data_logger."""
+        """Recognize JSON, except compressed JSON, which belongs to Klipper's data_logger."""
         return is_json(path, start) and not path.name.lower().endswith(".gz")
 
     @override
     def is_log(self, path: Path) -> bool:
-        """Leave out other JSON files, such as machines."""
+        """Return whether a JSON file is a log, and not another file such as a machine."""
         try:
             text = read_document(path)
             return any(f'"{name}"' in text for name in TESTS) and _tests(read_json(path)) != {}

@@ -41,7 +41,7 @@ class TimedTable:
 
 
 def signal_columns(names: Sequence[str]) -> tuple[LogColumn, ...]:
-    """Build columns of numbers named like paths, with a unit at the last part's end: "/arm/angle_deg"."""
+    """Build columns for signals named by paths, with a unit at the end: "/arm/angle_deg"."""
     columns = []
     for name in names:
         stated = _UNIT.search(name)  # a unit in brackets may have a slash as well
@@ -54,7 +54,7 @@ def signal_columns(names: Sequence[str]) -> tuple[LogColumn, ...]:
 
 
 def table_in_memory(names: Sequence[str], name: str, time_s: Array, values: Sequence[Array]) -> TimedTable:
-    """Return a table of known columns `names`: their times `time_s`, s, and `values`, shape (rows,) each."""
+    """Return a table of columns `names`, with times `time_s`, s, and `values`, shape (rows,) each."""
 
     def read(indices: Sequence[int], progress: Progress | None) -> Rows:
         return time_s, [values[index] for index in indices], []

@@ -34,12 +34,12 @@ class TextLogs(LogFormat):
 
     @override
     def recognizes(self, path: Path, start: bytes) -> bool:
-        """Take every file that no other format recognizes."""
+        """Accept every file that no other format recognizes."""
         return path.is_file()
 
     @override
     def is_log(self, path: Path) -> bool:
-        """Leave out texts that describe the logs."""
+        """Return whether a text file is a log, and not a description such as readme.txt."""
         return path.name.lower() not in _DOCUMENTS
 
     @override
