@@ -142,7 +142,7 @@ class Agent(Controller):
 
     @override
     def replace_last_action(self, actions: NDArray[np.float64]) -> None:
-        """Replace the stored last action, which the policy may observe next, with the applied one."""
+        """Replace the stored last action, which the policy may observe next, with the one that was applied."""
         if self.mapping:
             self.mapping.replace_last_action(actions)
 
@@ -152,11 +152,14 @@ class Agent(Controller):
             self.mapping.reset(mask)
 
     def structural_mismatch(self, machine: Machine) -> str | None:
-        """Say in a clause, such as "was trained on ...", why the agent cannot run on a machine; or None."""
+        """Return why the agent cannot run on a machine, as a clause such as "was trained on ...".
+
+        Else None.
+        """
         return structural_mismatch(self.machine, machine)
 
     def mismatch(self, machine: Machine, period: float, sensors: SensorsLike = "state") -> str | None:
-        """Return one line if an evaluation differs from the training in machine, control period or sensors.
+        """Return a warning if an evaluation differs from the training in machine, control period or sensors.
 
         Args:
             period: Control period of the evaluation, s.
@@ -180,7 +183,10 @@ class Agent(Controller):
         return f"agent {self.card['name']}: {'; '.join(differences)}. Its scores may be poor."
 
     def weights(self) -> dict[str, Any]:
-        """Copy the weights that an agent needs to run, by name; training alone needs those of the critics."""
+        """Copy the weights that an agent needs to run, by name.
+
+        The critics, needed for training, are left out.
+        """
         state = self.policy.state_dict()
         return {name: v.detach().clone() for name, v in state.items() if not name.startswith(CRITIC_PREFIXES)}
 
@@ -288,7 +294,7 @@ def _shape(values: list[Any]) -> list[int]:
 
 
 def structural_mismatch(trained_on: Machine, machine: Machine) -> str | None:
-    """Describe why an agent cannot run on a machine; see `Agent.structural_mismatch`."""
+    """Return why an agent trained on one machine cannot run on another; see `Agent.structural_mismatch`."""
     counts, trained = _part_counts(machine), _part_counts(trained_on)
     differing = [part for part in counts if counts[part] != trained[part]]
     if not differing:

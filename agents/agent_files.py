@@ -101,7 +101,7 @@ class _AgentJson(_Table):
 
 
 def read_agent_json(folder: Path) -> dict[str, Any]:
-    """Read agent.json, which says how to build the policy of an agent, and check its values and the folder.
+    """Read agent.json, which states how to build an agent's policy, and check all values.
 
     Raises:
         InputError: If a file is missing, or agent.json is damaged, of another version, lacks an entry or has
@@ -172,7 +172,7 @@ def refuse_to_replace(folder: Path, recipe: str, task: str, machine: str, seed: 
 
 
 def read_training_card(file: Path) -> dict[str, Any]:
-    """Read settings and results of a run to resume, with checked entries; an InputError if it is damaged."""
+    """Read the settings and results of a training run to resume; InputError if the file is damaged."""
     card = read_json(file)
     try:
         columns = {tuple(row) for row in card["curve"]}

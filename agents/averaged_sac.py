@@ -1,8 +1,7 @@
 """SAC whose averaged actor is evaluated and kept, and whose noise may fall. It needs the extra `agents`.
 
-The actor of SAC follows the gradient of critics that never rest: the policies of two evaluations differ by
-more than a percent of the settling time, to either side. The average of its weights over some thousand
-gradient steps is better than all of them.
+The actor of SAC follows critics that change all the time: settling times of successive evaluations vary by
+more than a percent. The average of its weights over some thousand gradient steps is better than all of them.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ class AveragedSAC(SAC):
 
     @property
     def evaluated_policy(self) -> Any:
-        """Policy with the averaged actor, or the trained policy as long as there is no average."""
+        """Policy with the averaged actor, or the trained policy until there is an average."""
         return self._averaged_policy if self.averaging and self._n_updates else self.policy
 
     @override

@@ -22,7 +22,7 @@ _TRAILER = len(_MARK) + 2 * KEY_BYTES  # a pickle and a zip archive may have fur
 
 
 def sign_checkpoint(path: Path) -> None:
-    """Append a signature to a checkpoint; `refuse_unsigned` recognizes this installation's files by it.
+    """Append a signature to a checkpoint, by which `refuse_unsigned` recognizes files of this installation.
 
     The signature is a keyed hash (HMAC-SHA256) of the file with a secret key of this installation. If the key
     cannot be stored, because its folder is read-only, the file is not changed. The file is a pickle or a zip
@@ -42,7 +42,7 @@ def sign_checkpoint(path: Path) -> None:
 def refuse_unsigned(path: Path) -> None:
     """Raise an error unless this installation wrote a checkpoint and nothing has changed it since.
 
-    Call it before a checkpoint is loaded, because loading executes code that the file contains.
+    Call it before loading a checkpoint, because loading executes code that the file contains.
 
     Raises:
         InputError: If the file has no signature, or one of another installation, or was changed since.

@@ -34,8 +34,8 @@ class AgentSource(ControllerSource):
     def make(name: str, scenario: Scenario) -> Agent | None:
         """Load a trained agent, and warn if it was trained with another machine, control period or sensors.
 
-        The name is a folder, or an agent of the package, such as "ppo", of which the scenario's task selects
-        one.
+        The name is a folder, or an agent of the package, such as "ppo"; the scenario's task then selects the
+        variant.
 
         Raises:
             InputError: If the package has the agent for other tasks only, the folder holds no agent, its
@@ -135,7 +135,7 @@ def shipped_agent_folder(name: str, task: str) -> Path:
 
 
 def start_agent_folder(recipe: Recipe, task: str, machine: Machine, previews: int) -> Path:
-    """Find the folder of the agent in the package from whose weights a recipe such as "adapt" continues.
+    """Find the folder of the shipped agent from whose weights a recipe, such as "adapt", starts training.
 
     Args:
         task: Name of the task on which training continues; `recipe_task` selects among the agents of the

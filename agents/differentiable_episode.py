@@ -100,7 +100,7 @@ class SimulatedPeriod:
         return np.hstack([end, tool.reshape(len(end), -1)])
 
     def gradients(self, motions: Motions, by_outputs: Array) -> tuple[Array, Array, Array]:
-        """Compute the derivatives of a number from its derivatives with respect to the outputs of a period.
+        """Compute the gradients of a number by the chain rule, from its derivatives by a period's outputs.
 
         Args:
             by_outputs: Derivatives by the result of `outputs`, per SI unit, shape (B, 2 n + axes * SAMPLES).

@@ -36,7 +36,7 @@ LARGEST_WEIGHTED = 1.2  # Fraction of the rated voltage; limit of the voltages b
 
 
 class FeedbackLaws(NamedTuple):
-    """Voltages that K feedback laws give in the present state, and the derivatives of these voltages.
+    """Voltages that K feedback laws give in the present state, with their derivatives.
 
     Attributes:
         volts: Voltages divided by the rated voltages, not limited, shape (batch, K, drives).
@@ -49,7 +49,7 @@ class FeedbackLaws(NamedTuple):
 
 
 class TransferBank:
-    """First voltages of K minimum-energy transfers (motions to rest at the goal) by duration and design.
+    """First voltages of K minimum-energy transfers (motions to rest at the goal) with several designs.
 
     Every transfer is designed for `machine`; the first five (`VARIANT_TRANSFERS`) are also designed for each
     of four variants with other belt stiffness and masses (`VARIANTS`). The durations of a variant count from
@@ -84,7 +84,7 @@ class TransferBank:
         self.size = self._gains.shape[1]
 
     def laws(self, observation: NDArray[Any], goal: NDArray[Any]) -> FeedbackLaws:
-        """Compute the first voltages of each transfer from the state, by the design nearest to the goal.
+        """Compute the first voltages of each transfer, by the design for the operating point nearest the goal.
 
         The transfers of the declared machine, in the order of the durations, precede those of each variant.
 
@@ -102,7 +102,7 @@ class TransferBank:
 
 
 class PlanBank:
-    """First voltages of K transfers, planned each period for the machine as estimated (`SimulatedTransfers`).
+    """First voltages of K transfers, planned in each period for the estimated machine (`SimulatedTransfers`).
 
     Args:
         period: Control period, s.
@@ -148,7 +148,10 @@ class PlanBank:
 
 
 def check_transfers(designed: TransferDesign, transfers: Sequence[int]) -> None:
-    """Raise an InputError if a machine lacks transfers of these durations, in periods beyond the shortest."""
+    """Raise an InputError if a transfer of one of these durations does not exist for a machine.
+
+    Durations are in periods beyond the shortest transfer.
+    """
     longest = designed.longest - designed.shortest
     if not 0 <= min(transfers) <= max(transfers) <= longest:
         name = designed.model.machine.name

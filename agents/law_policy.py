@@ -29,7 +29,7 @@ EXPLORATION = 3.0
 
 
 class LawActor(Actor):
-    """Actor that explores with the outputs for the drives only: the observation gives the laws' weights."""
+    """Actor that explores only with its outputs for the drives, not with the weights of the feedback laws."""
 
     action_dist: Any  # of the outputs for the drives
     log_std: Any
@@ -60,7 +60,7 @@ class LawActor(Actor):
 
 
 class ActionCritic(ContinuousCritic):
-    """Critics that evaluate the action which results from the policy's outputs."""
+    """Critics of the action that results from the policy's outputs, instead of the outputs themselves."""
 
     @override
     def __init__(self, **keywords: Any) -> None:
@@ -83,7 +83,10 @@ class ActionCritic(ContinuousCritic):
 
 
 class LawPolicy(MultiInputPolicy):
-    """Policy of SAC with `LawActor` and `ActionCritic`, observing the `ActionParts`, without `use_sde`."""
+    """Policy of SAC with `LawActor` and `ActionCritic`.
+
+    It observes the `ActionParts` and excludes `use_sde`.
+    """
 
     @override
     def __init__(self, *arguments: Any, use_sde: bool = False, **keywords: Any) -> None:

@@ -14,13 +14,13 @@ CONTRIB_ALGORITHMS = ("tqc", "crossq")  # of sb3-contrib, which the other algori
 
 
 def import_optional(module: str) -> Any:
-    """Import a module such as "stable_baselines3.ppo"; an ImportError names the extra `agents` and pip."""
+    """Import a module such as "stable_baselines3.ppo"; if it is missing, an ImportError names the extra."""
     with naming_extra("agents", f"learned controllers need {module.partition('.')[0]}"):
         return importlib.import_module(module)
 
 
 def require_training_packages(kind: str) -> None:
-    """Import every package that an algorithm needs, so that an ImportError comes before any work starts."""
+    """Import every package that an algorithm needs, so that a missing one is reported before work starts."""
     for module in (*EXTRA_MODULES, *(("sb3_contrib",) if kind in CONTRIB_ALGORITHMS else ())):
         import_optional(module)
 

@@ -130,7 +130,10 @@ def recipe_names() -> tuple[str, ...]:
 
 
 def require_transfers(recipe: Recipe, machine: Machine, task: str) -> None:
-    """Raise an InputError, with suitable recipes, if a machine's workspace is too small for the transfers."""
+    """Raise an InputError if a machine's workspace is too small for the recipe's transfers.
+
+    It proposes recipes.
+    """
     needed, task = recipe.longest_transfer, recipe_task(task)
     if needed < 0:
         return
@@ -182,7 +185,7 @@ def build_task(recipe: Recipe, name: str, unit: AxisUnit = METERS) -> Task:
 
 
 def recipe_task(task: str) -> str:
-    """Name the task whose recipes and shipped agents apply to a task.
+    """Return the task whose recipes and shipped agents are used for a task.
 
     It is the task itself if the package has recipes for it; else the task with recipes that has the same
     metrics: "reach" if an episode has a fixed goal, "track" if the goal moves along a path.
@@ -202,8 +205,8 @@ def load_recipe(name: str, task: str) -> Recipe:
 
     Args:
         name: First part of the recipe's name, for example "ppo", "sac", "sac_her", "residual" or "adapt", or
-            the path of a recipe of your own, a file that ends in .toml. If it has `base = "ppo"`, it states
-            what differs from the package's recipe `ppo`.
+            the path of a recipe of your own, a file that ends in .toml. With `base = "ppo"`, the file states
+            only the differences from the package's recipe `ppo`.
         task: Name of the task, for example "reach", or `module:name`.
 
     Raises:

@@ -85,7 +85,7 @@ class Authority:
 
 
 class ActionParts(NamedTuple):
-    """What determines the action that results from a policy's outputs; arrays or torch tensors of a batch.
+    """Parts from which an action is computed, given a policy's outputs: arrays or torch tensors of a batch.
 
     Attributes:
         offset: Part that does not depend on the outputs, fractions of the rated voltages,
@@ -100,7 +100,7 @@ class ActionParts(NamedTuple):
     laws: Any = None
 
     def action(self, output: Any) -> Any:
-        """Compute the action, not limited to [-1, 1], that results from outputs, differentiably in torch.
+        """Compute the action for given policy outputs, not limited to [-1, 1], differentiable in torch.
 
         It is offset + authority * output of each drive. With laws, the mean of their voltages is added, each
         limited to +-1.2, with the weights softmax(5 * outputs for the laws).
@@ -145,7 +145,8 @@ class ResidualAction:
         authority: Fractions of the rated voltage and of the last action, by distance and speed.
         tool_speeds: Columns of the array `observation` that hold the tool velocity along its axes, m/s or
             rad/s.
-        meters: Length that a unit of the tool position counts as: 1 m, or 0.1 m for a rad of rotary axes.
+        meters: Length that one unit of the tool position corresponds to: 1 m, or 0.1 m for a rad of rotary
+            axes.
         base: Controller whose action the policy corrects, or None.
         bank: Motions to rest at the goal (`transfers` or `plans`) whose voltages the policy weights, or None.
         laws: Voltages of the bank in this period and their derivatives by the observation; None without a
@@ -210,7 +211,7 @@ class ResidualAction:
         return spaces.Box(-1.0, 1.0, (self._drives + (self.bank.size if self.bank else 0),), np.float32)
 
     def observation_space(self, observation_space: spaces.Dict) -> spaces.Dict:
-        """Extend the observation space of an environment by the keys of `augment`, as `history` says."""
+        """Extend the observation space of an environment by the arrays that `augment` adds (`history`)."""
         action_box = spaces.Box(-1.0, 1.0, (self._drives,), np.float32)
         added: dict[str, spaces.Space[Any]] = {
             "last_observation": observation_space["observation"],
@@ -382,7 +383,7 @@ class ResidualAction:
 
 
 def residual_action(machine: Machine, settings: Mapping[str, Any], period: float) -> ResidualAction | None:
-    """Create the `ResidualAction` of a recipe; None without settings: the outputs are then the actions.
+    """Create the `ResidualAction` of a recipe, or None if the policy's outputs are the actions.
 
     Args:
         settings: The recipe's table [actuation]: keyword arguments of `ResidualAction` except machine and

@@ -39,7 +39,8 @@ class LogScaleFeatures(BaseFeaturesExtractor):
             (motors, axes).
         gains: By key of the observation, matrices from its entries to voltages of model-based controllers.
             Default: no such features.
-        meters: Length that a unit of the tool position counts as, m: 0.1 for the angles of rotary axes.
+        meters: Length, m, that one unit of the tool position corresponds to: 0.1 for the angles of rotary
+            axes.
 
     Attributes:
         keys: Keys of the observation in the order in which their arrays are concatenated.

@@ -43,13 +43,13 @@ _RECURRENT = "sb3_contrib.common.recurrent.policies"
 
 
 class Sb3Model(PolicyController):
-    """Controller that applies the mean action of a model, on observations in the form of its training.
+    """Controller that applies the mean action of a model to observations in the format of its training.
 
     Args:
         model: Model of stable-baselines3.
-        form: Form in which it observes, for observations by key in SI units.
+        form: Format of the model's observations, into which observations by key in SI units are converted.
         period: Control period, s.
-        full_state: Whether it observes the full state instead of sensors.
+        full_state: Whether the model observes the full state instead of sensors.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class ZipSource(ControllerSource):
     @staticmethod
     @override
     def make(name: str, scenario: Scenario) -> Sb3Model | None:
-        """Load a model from a zip file, and find the form of observations with which it was trained.
+        """Load a model from a zip file, and determine the format of observations that it was trained with.
 
         Raises:
             InputError: If the file is no model of stable-baselines3, its observations or actions are not

@@ -36,7 +36,7 @@ def train_seeds(
     ray: str | None = None,
     show_curves: bool = True,
 ) -> dict[int, dict[str, Any]]:
-    """Train one agent per seed, several at a time; each equals, bit for bit, the agent that `train` gives.
+    """Train one agent per seed, several at a time; each is equal, bit for bit, to the result of `train`.
 
     Worker processes train on one core each in temporary folders. The calling process writes an agent when its
     training is complete; if the calling process ends before, incomplete runs are lost. A run whose worker

@@ -10,7 +10,7 @@ HALF_KEPT_AFTER = 9.0  # updates after which the average keeps half of its value
 
 
 def update_average(average: Any, trained: Any, averaging: float, updates: int) -> None:
-    """Update the averages of the weights of a module of the same class, in place, for the n-th of `updates`.
+    """Update a moving average of the weights of a trained module, in place, after update number `updates`.
 
     Args:
         averaging: Fraction of the average that remains, 0 to below 1. At the beginning it is smaller, so that

@@ -149,7 +149,7 @@ class BatchedSimulator:
     ) -> None:
         """Put k machines at rest with unstretched belts, or into a given motion, with new parameters.
 
-        Their time, the internal states of their effects and their delayed voltages are set to zero.
+        Their time, the internal states of effects and the delayed voltages become zero.
 
         Args:
             position: Tool positions, m, shape (k, axes).

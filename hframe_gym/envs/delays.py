@@ -1,4 +1,4 @@
-"""Delays: how long those of drives and sensors can be, and the past readings from which late sensors read."""
+"""Delays of drives and sensors: the longest possible ones, and the past readings for late sensors."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ from ..machine import Machine
 def longest_delay(
     machine: Machine, components: Iterable[str], hook: Literal["delay", "measurement_delay"]
 ) -> float:
-    """Return the longest delay, s, that a component can have within its effects' bounds; 0 without such.
+    """Return the longest delay, s, that the bounds of effects permit for any of some components.
+
+    0 without such effects.
 
     Args:
         components: Names of drives or channels of sensors.
@@ -62,16 +64,17 @@ class DelayLine:
     def record(self, readings: LaneReadings, step: int, first: int, last: int) -> None:
         """Store the measurements of environments in blocks `first` to `last` - 1 after an integration step.
 
-        They take the place of the oldest ones. The number of the step counts over all episodes and is the
-        same for all environments.
+        They overwrite the oldest ones. The number of the step counts over all episodes and is the same for
+        all environments.
         """
         self._history[first:last, step % self._depth] = readings[first:last]
 
     def read(self, step: int, first: int, last: int, out: LaneReadings) -> None:
         """Write the delayed measurements of the environments in blocks `first` to `last` - 1 to `out`.
 
-        A sensor with the delay T measures what was there T before the last recorded `step`, interpolated
-        between the recorded values; before the start of the episode, what was there at its start.
+        The measurement of a sensor with the delay T is the ideal one at the time T before the last recorded
+        `step`, interpolated between recorded values. Before the start of the episode, it is the one at the
+        start.
         """
         _interpolate(self._history, self.delays, self._h, step, first, last, out)
 

@@ -128,7 +128,10 @@ class EnvironmentBatch:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Hash of machine, task, number of environments and options, which a saved state must share."""
+        """Hash of machine, task, number of environments and options.
+
+        A saved state fits only if it is equal.
+        """
         # Pydantic takes long to import, and few save states.
         from ..recordings.machine_file import machine_to_dict
 

@@ -193,10 +193,10 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
         return observation, result.reward.item(), result.terminated.item(), False, info
 
     def get_state(self) -> dict[str, Any]:
-        """Copy the complete state for `set_state`, picklable; continued from it, all is equal to the bit.
+        """Copy the complete state for `set_state`; a simulation that continues from it is equal to the bit.
 
-        It includes the random generator, so that the episodes after this one are the same too. The limit of
-        steps that `gym.make` adds counts in its wrapper and is not included.
+        The state can be pickled. It includes the random generator, so that later episodes are the same too.
+        The step counter of `gym.make`'s time limit is in a wrapper and is not included.
         """
         return {
             **self._shared_state("single"),
@@ -206,7 +206,10 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Put the environment into a state of one with the same options; an InputError changes nothing."""
+        """Restore a state of `get_state`, from an environment with the same options.
+
+        Another state raises an InputError and changes nothing.
+        """
         self._restore_shared(state, "single")
         if state["generator"] is None:
             self._np_random = None

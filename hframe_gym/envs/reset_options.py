@@ -1,4 +1,4 @@
-"""The argument `options` of `reset`: what replaces the task's positions, sampled parameters and the rest."""
+"""The argument `options` of `reset`, which sets positions, goals, parameters or the state of an episode."""
 
 from __future__ import annotations
 

@@ -81,7 +81,8 @@ def evaluate_rows(
             sparse, 0 within `band` and -1 outside. 2: the potential of "progress", -ln(1 + d / 1 mm). 3:
             arrival, like dense.
         band: Distance to the goal within which the sparse reward is 0, m or rad.
-        meters: Length that a unit of position counts as in the other rewards: 1 m for m, `ARM` for rad.
+        meters: Length, m, that one unit of position corresponds to in the other rewards: 1 for m, `ARM` for
+            rad.
         distance: Output, distances from `tool` to `desired`, m or rad, shape (n,).
         reward: Output, rewards for the distances from `achieved` to `desired`, dimensionless, shape (n,).
     """
@@ -141,7 +142,7 @@ class BuiltinReward:
 
     Args:
         band: Distance to the goal that counts as a success, m or rad.
-        meters: Length that a unit of position counts as, m: 1 for positions in m, `ARM` for angles.
+        meters: Length, m, that one unit of position corresponds to: 1 for m, `ARM` for rad.
 
     Attributes:
         kind: Number of the reward in `evaluate_rows`: 0 dense, 1 sparse, 2 progress, 3 arrival.
@@ -184,7 +185,7 @@ class SparseReward(BuiltinReward):
 class ArrivalReward(BuiltinReward):
     """Reward like `DenseReward` with the weights 0.05, 0.05, 0.3, 0.5 and 0.1 of lengths 0.2 m to 20 um.
 
-    Coming from 1 to 0.2 mm pays 1.8 times as much as with "dense", and coming from 0.2 m to 10 mm less than
+    The approach from 1 to 0.2 mm earns 1.8 times as much as with "dense", that from 0.2 m to 10 mm less than
     half.
     """
 

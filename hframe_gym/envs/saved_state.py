@@ -29,7 +29,10 @@ def batch_state(batch: Any) -> dict[str, Any]:
 
 
 def restore_batch(batch: Any, state: dict[str, Any]) -> None:
-    """Put an `EnvironmentBatch` into a state of `batch_state`; an InputError for others changes nothing."""
+    """Restore a state of `batch_state`.
+
+    A state of other environments raises an InputError and changes nothing.
+    """
     attributes = {path: (owner, name) for path, owner, name in _attributes(batch)}
     different = sorted(set(attributes) ^ set(state))
     if different:

@@ -43,7 +43,7 @@ class ProgressReward(BuiltinReward):
     """Reward for coming closer to the goal in a step and for being there.
 
     It is ln((d0 + d before) / (d0 + d after)) + 1 / (1 + d after / d1) with d0 = 1 mm and d1 = 2 mm. Each
-    halving of the distance d pays 0.69, at 100 mm as at 10 mm, and moving away costs as much. A critic has
+    halving of the distance d earns 0.69, at 100 mm as at 10 mm, and each doubling costs as much. A critic has
     little to learn before the policy can improve, so that PPO with its default hyperparameters learns several
     times as fast as with "dense". The first term is the potential-based shaping of Ng, Harada and Russell
     (1999): it changes the best policy only as far as the future is discounted. The second term pays for
@@ -56,7 +56,10 @@ class ProgressReward(BuiltinReward):
     kind = PROGRESS
 
     def bonus(self, achieved: Positions, desired: Positions) -> Array:
-        """Compute 1 / (1 + d / 2 mm), shape (n,), of `achieved` and `desired`, m, shape (n, axes)."""
+        """Compute 1 / (1 + d / 2 mm) of the distance d, shape (n,).
+
+        `achieved`, `desired`: m, shape (n, axes).
+        """
         return PRECISION_BONUS / (1.0 + distances(achieved, desired) * self.meters / BONUS_SCALE)
 
 
@@ -159,7 +162,7 @@ class StepRewards:
             self._potential[index] = self._evaluate(self.reward, *goals_seen)
 
     def evaluation(self, distance: Array, reward: Array) -> Evaluation:
-        """Return the last five arguments of `evaluate_rows`; nothing is computed here.
+        """Return the last five arguments of `evaluate_rows`, which then computes distances and rewards.
 
         Use them only if the attribute `depends_on_distance` is True.
 

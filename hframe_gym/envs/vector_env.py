@@ -298,9 +298,9 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         return tuple(frame for frame in frames if frame is not None)
 
     def get_state(self) -> dict[str, Any]:
-        """Copy the complete state: continued from it, the environments return the same to the bit.
+        """Copy the complete state for `set_state`; simulations that continue from it are equal to the bit.
 
-        It includes the counters of the random numbers, so that the episodes after these are the same too.
+        It includes the counters of the random numbers, so that later episodes are the same too.
 
         Returns:
             State for `set_state`, which can be pickled.
@@ -312,7 +312,10 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         return {**self._shared_state("vector"), "over": self._over.copy(), "trails": trails}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Put the environments into a state of `get_state`; an InputError for others changes nothing."""
+        """Restore a state of `get_state`.
+
+        A state of other environments raises an InputError and changes nothing.
+        """
         self._restore_shared(state, "vector")
         self._over = state["over"].copy()
         self._collect_parameters()
@@ -324,7 +327,10 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
     # ---------------------------------------
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Call a method, or read an attribute, of all environments; return the result for each."""
+        """Call a method, or read an attribute, that all environments share.
+
+        Return the result once per environment.
+        """
         value = self._shared(name)
         return (value(*args, **kwargs) if callable(value) else value,) * self.num_envs
 
@@ -333,13 +339,15 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         return (self._shared(name),) * self.num_envs
 
     def set_attr(self, name: str, values: Any) -> None:
-        """Set an attribute, which all environments share; a list or tuple has one value per environment.
+        """Set an attribute that all environments share.
+
+        A list or tuple must repeat the value per environment.
 
         Raises:
             AttributeError: If there is no such attribute: nothing would read it. Options are fixed when the
                 environment is made, and `reset(options=...)` sets parameters, starts and goals.
             ValueError: If a list or tuple has another length.
-            InputError: If its values differ: the environments are rows of one, and the attribute exists once.
+            InputError: If the values of a list or tuple differ, because the attribute exists only once.
         """
         self._shared(name)
         if isinstance(values, list | tuple):

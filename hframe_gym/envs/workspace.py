@@ -101,9 +101,9 @@ def workspace_of(machine: Machine) -> Workspace:
 
 
 def unmeasured_workspace(machine: Machine) -> str | None:
-    """Return a warning if the workspace reaches beyond the positions at which a table was identified.
+    """Return a warning if the workspace extends beyond the positions at which a table was identified.
 
-    Nothing is known there: a table is constant beyond its ends, wherever the force really goes.
+    Beyond its ends, a table is constant, whatever the actual force is.
 
     Raises:
         InputError: As `workspace_of`.

@@ -1,4 +1,4 @@
-"""What an evaluation assumes, and what to do after it: words for the scorecard."""
+"""Sentences for the scorecard: the assumptions of an evaluation, and the next steps."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _CLEAR_GAIN = 1.15
 
 
 def assumptions(scores: Mapping[str, Any]) -> dict[str, str]:
-    """Describe what an evaluation assumes: sentences without a period, by what they are about."""
+    """Describe the assumptions of an evaluation in sentences without a period, by their subject."""
     sensors, drives, machines = (str(scores.get(key, "")) for key in ("sensors", "drives", "randomize"))
     period_ms, command = 1e3 * scores["period_s"], Command(**scores.get("command", {})).name
     return {
@@ -61,7 +61,7 @@ def next_steps(
     warnings: Sequence[str],
     machine: str,
 ) -> list[NextStep]:
-    """Return what to do after an evaluation, the most important step first.
+    """Return proposals for what to do after an evaluation, the most important one first.
 
     Args:
         second: Name of a controller that is not significantly worse, None if there is none.

@@ -1,4 +1,4 @@
-"""Creation of controllers by name: registered, of a module, or of a source such as the folder of an agent."""
+"""Creation of controllers by name: a registered name, `module:name`, or the folder of a trained agent."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ class ControllerFiles(NamedTuple):
     Attributes:
         name: Name of the controller in results, for example "ppo-seed0".
         files: Files that determine the controller.
-        sensors: What the controller was made to observe: "state", or another sensor preset.
+        sensors: Observation for which the controller was made: "state", or another sensor preset.
         algorithm: How it was trained, for example "ppo".
-        model: For what it uses the declared machine, a few words.
+        model: What the controller knows of the declared machine, in a few words.
         training_steps: Environment steps of its training; None if unknown.
         training_cpu_s: Processor time of its training, s; None if unknown.
     """
@@ -55,7 +55,7 @@ class ControllerSource(ABC):
     @staticmethod
     @abstractmethod
     def make(name: str, scenario: Scenario) -> Controller | None:
-        """Create the controller that this source has under a name, such as a path; None if it has none."""
+        """Create the controller for a name, such as a path; None if this source has no such controller."""
 
     @staticmethod
     @abstractmethod
@@ -85,7 +85,7 @@ def make_controller(
     sensors: SensorsLike = "state",
     period: float = 0.01,
 ) -> Controller:
-    """Create a controller by its name, or of a policy of your own.
+    """Create a controller from its name or from your own policy.
 
     Controllers are designed from the machine's nominal parameters. If the environment observes sensors, a
     controller whose class attribute `feedback` is "estimated_state" (such as `pid`) is combined with a
@@ -94,9 +94,9 @@ def make_controller(
     Args:
         name: A registered name (`pid`, `adaptive-pid`, `textbook-pid`), `module:name` of one that a module
             registers, or a name that a registered `ControllerSource` accepts: a shipped agent or the folder
-            of an agent. Or a policy: a function of observations as the environment, which must be given,
-            returns them for n machines, that returns their actions, shape (n, drives); one with a memory has
-            a method `reset(mask)`.
+            of an agent. Or a policy: a function from observations of n machines, as the environment returns
+            them, to actions, shape (n, drives). A policy needs the environment as the second argument; one
+            with a memory has a method `reset(mask)`.
         machine: Machine, built-in name or machine.json; or a `Scenario`, or an environment of this package
             (single, vector or `HFrameVecEnv`, also in wrappers), which replace all further arguments. For an
             environment, the controller reads observations as the environment returns them, whatever

@@ -12,12 +12,12 @@ from ..machine import METERS, AxisUnit, Machine
 
 
 class Command(NamedTuple):
-    """What the drives of a machine are commanded by in a simulation.
+    """Quantity that the actions command in a simulation, such as the drives' voltages.
 
     Attributes:
         name: The quantity, such as "current"; "voltage" also for a duty cycle, which is a voltage in
             simulations.
-        unit: Its unit; empty if those of the drives differ.
+        unit: Unit of the command; empty if the drives have different ones.
     """
 
     name: str = "voltage"
@@ -25,7 +25,7 @@ class Command(NamedTuple):
 
     @classmethod
     def of(cls, machine: Machine) -> Command:
-        """Return what the drives of a machine are commanded by."""
+        """Return the commanded quantity of a machine's drives."""
         of_voltage = all(drive.command == "voltage" for drive in machine.drives)
         units = {machine.command_unit(drive) for drive in machine.drives}
         name = "voltage" if of_voltage else machine.commands_in_words.removesuffix("s")
@@ -33,7 +33,7 @@ class Command(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Label of an axis, "voltage, V"."""
+        """Axis label for plots, such as "voltage, V"."""
         return f"{self.name}, {self.unit}" if self.unit else self.name
 
 

@@ -13,18 +13,18 @@ PACKAGES = ("hframe_gym", "numpy", "scipy", "numba", "torch", "stable-baselines3
 
 
 def result_versions(further: Iterable[str] = ()) -> dict[str, str]:
-    """List the versions of Python, of packages on which all results depend and of `further` ones, by name.
+    """Return the versions of Python and of the packages on which results depend, by name, for result files.
 
-    Packages that are not installed are omitted.
+    `further` packages are added. Packages that are not installed are omitted.
     """
     return {"python": platform.python_version(), **installed_versions((*PACKAGES, *further))}
 
 
 def installed_versions(packages: Iterable[str]) -> dict[str, str]:
-    """List the versions of packages by name; those that are not installed are omitted.
+    """Return the versions of installed packages by name; others are omitted.
 
-    Of this package it is that of the code that runs: an editable installation keeps the number of the day it
-    was made.
+    For this package, it is the version of the running code, because the metadata of an editable installation
+    may be outdated.
     """
     versions = {}
     for package in packages:

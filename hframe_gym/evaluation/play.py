@@ -114,7 +114,10 @@ class PlayedStage:
         self._note(info)
 
     def step(self, action: Array) -> None:
-        """Simulate a control period; a user's `action` is fractions of rated voltages, shape (drives,)."""
+        """Simulate one control period with a controller, or with the user's `action`, shape (drives,).
+
+        The action contains fractions of the rated voltages.
+        """
         if self.controller:
             batch = {key: value[None] for key, value in self.observation.items()}
             action = np.asarray(self.controller.act(batch), np.float64)[0]

@@ -21,10 +21,9 @@ SMALLEST_ERROR_MM = 1e-3  # mm or mrad, lower end of the logarithmic error axis 
 
 
 def plot_episode(episodes: Episodes, episode: int = 0, *, title: str = "") -> Any:
-    """Plot an episode in 3 panels: tool path, distance to the goal (and to the path) over time, and commands.
+    """Plot an episode as a matplotlib figure: tool path, distance to the goal (and path) over time, commands.
 
-    The first panel shows the position over time if the machine has one axis. The result is a figure of
-    matplotlib.
+    For a machine with one axis, the first panel shows the position over time.
 
     Raises:
         ImportError: If matplotlib is not installed; the message names the extra.
@@ -47,7 +46,9 @@ def plot_episode(episodes: Episodes, episode: int = 0, *, title: str = "") -> An
 
 
 def save_plot(path: str | Path, episodes: Episodes, episode: int = 0, *, title: str = "") -> None:
-    """Plot one episode with `plot_episode` to a .png, .svg or .pdf file; on failure an existing one stays.
+    """Save the plot of one episode (`plot_episode`) as a .png, .svg or .pdf file.
+
+    If writing fails, an existing file is unchanged.
 
     Raises:
         ImportError: If matplotlib is not installed; the message names the extra.
@@ -125,7 +126,7 @@ def _point(position: NDArray[np.float64]) -> str:
 
 
 def episode_panels(name: str, episodes: Episodes, episode: int) -> list[Panel]:
-    """Describe an episode's plots for the scorecard, captioned: tool path, distance over time, commands."""
+    """Prepare the plots of an episode for the scorecard: tool path, distance over time, commands."""
     start, goal = 1e3 * episodes.position[episode, 0], 1e3 * episodes.goal[episode, -1]
     final_mm = 1e3 * float(episodes.goal_error[episode, -1])
     small = episodes.unit.small
@@ -156,7 +157,7 @@ def episode_panels(name: str, episodes: Episodes, episode: int) -> list[Panel]:
 
 
 def distance_panel(recorded: Mapping[str, Episodes]) -> Panel:
-    """Describe a plot for the scorecard: distances to goal in the first episode, mm, by controller."""
+    """Prepare a plot for the scorecard: distance to the goal in the first episode, mm, by controller."""
     unit = next(iter(recorded.values())).unit
 
     def draw(axes: Any) -> None:
@@ -175,7 +176,7 @@ def distance_panel(recorded: Mapping[str, Episodes]) -> Panel:
 
 
 def distribution_panel(recorded: Mapping[str, Episodes]) -> Panel:
-    """Describe a plot for the scorecard: distribution of the settling times, or of a path's contour errors.
+    """Prepare a plot for the scorecard: distribution of settling times, or of contour errors on a path.
 
     A curve shows the fraction of the episodes that have settled until a time, or whose error is at most a
     value. It ends below 100 % if some episodes do not settle.
@@ -211,7 +212,7 @@ def distribution_panel(recorded: Mapping[str, Episodes]) -> Panel:
 
 
 def interval_panel(title: str, unit: str, scores: Mapping[str, Mapping[str, Any] | None]) -> Panel:
-    """Describe a plot for the scorecard: mean of a metric by controller, with 95 % confidence intervals.
+    """Prepare a plot for the scorecard: mean of a metric by controller, with 95 % confidence intervals.
 
     Args:
         title: Caption, the name of the metric.
@@ -244,7 +245,7 @@ def interval_panel(title: str, unit: str, scores: Mapping[str, Mapping[str, Any]
 
 
 def success_panel(title: str, success: Mapping[str, Mapping[str, float]]) -> Panel:
-    """Describe a bar chart for the scorecard: part of successful episodes by controller and settling band."""
+    """Prepare a bar chart for the scorecard: fraction of successful episodes by controller and band."""
     texts = unit_of_scores(next(iter(success.values()))).band_texts
     bands = list(texts)
 

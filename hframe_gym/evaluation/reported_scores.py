@@ -1,4 +1,4 @@
-"""What scores.json says of a controller, for tables, pages and advice."""
+"""Access to the scores in scores.json, for tables, pages and advice."""
 
 from __future__ import annotations
 
@@ -11,22 +11,25 @@ PATH_ERRORS = ("contour", "tracking")  # of motion along a path, in scores with 
 
 
 def task_name(scores: Mapping[str, Any]) -> str:
-    """Return the name of the task; scores.json may hold the text of a task object, such as "Track(...)"."""
+    """Return the name of the task.
+
+    Scores.json may contain the text of a task object, such as "Track(...)".
+    """
     return str(scores["task"]).partition("(")[0].lower()
 
 
 def unit_of_scores(names: Iterable[str]) -> AxisUnit:
-    """Find the tool position's unit from the names of bands in scores, such as "2mrad"; default m."""
+    """Determine the unit of the tool position from names of bands, such as "2mrad"; m by default."""
     endings = tuple(names)
     found = [u for u in AXIS_UNITS.values() if any(name.endswith(u.bound_band) for name in endings)]
     return found[0] if found else METERS
 
 
 def settling_or_none(success: float, settling: Any) -> Any:
-    """Return scores of settling times, in their unit, or None if no episode settles.
+    """Return scores of settling times unchanged, in their unit, or None if no episode settles.
 
-    An episode that does not settle counts with its length. If none settles, the scores say nothing but this
-    length.
+    An episode that does not settle counts with its length. If none settles, the scores contain nothing but
+    this length.
 
     Args:
         success: Fraction of the episodes that settle, 0 to 1.
@@ -36,13 +39,13 @@ def settling_or_none(success: float, settling: Any) -> Any:
 
 
 def settling_in(score: Mapping[str, Any], band: str) -> Mapping[str, Any] | None:
-    """Return a controller's settling times in a band, s: mean, interval etc.; None if no episode settles."""
+    """Return a controller's scores of settling times, s, within a band; None if no episode settles."""
     times: Mapping[str, Any] | None = settling_or_none(score["success"][band], score["settling_s"][band])
     return times
 
 
 def ratio_to_bounds(score: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """Return the mean settling time over the mean of the shortest possible times, with its interval."""
+    """Return the ratio of mean settling time to mean shortest possible time, with its interval."""
     band = METERS.bound_band
     by_band = score.get("over_bound") or {}
     if band not in by_band or not score["success"][band]:
@@ -52,6 +55,6 @@ def ratio_to_bounds(score: Mapping[str, Any]) -> Mapping[str, Any] | None:
 
 
 def unknown_bound_reasons(scores: Mapping[str, Any]) -> list[str]:
-    """List each reason why the time-optimal bound is missing in scores (scores.json), once, in order."""
+    """List the different reasons for missing time-optimal bounds in scores.json, in order."""
     reasons = (score.get("over_bound_reason") for score in scores["controllers"].values())
     return list(dict.fromkeys(reason for reason in reasons if reason))

@@ -67,9 +67,9 @@ def evaluate(
         Metrics: hframe_gym/evaluation/metrics.py; bounds: docs/bound.md.
 
     Args:
-        controllers: Names of controllers (such as "pid"), agents or folders; or controllers or their names by
-            the names in results. `make_controller(policy, env)` makes a controller of a function of
-            observations.
+        controllers: Names of controllers (such as "pid"), agents or folders; or a mapping from names in the
+            results to controllers or their names. `make_controller(policy, env)` makes a controller of a
+            function of observations.
         machine: Machine, built-in name or machine.json; or a `Scenario`, which replaces all further
             arguments.
         task: "reach", "track", the name of another registered task, or a task object.
@@ -254,16 +254,19 @@ def _points(travel: Array, speed: Array) -> MotionPoint:
 
 
 def write_scores(folder: str | Path, scores: Mapping[str, Any]) -> Path:
-    """Write `Evaluation.scores` to scores.json in a folder; return the path. A failure keeps an old file."""
+    """Write `Evaluation.scores` to scores.json in a folder and return the path.
+
+    If writing fails, an existing file is unchanged.
+    """
     path = Path(folder) / "scores.json"
     write_text(path, json.dumps(scores, indent=2, allow_nan=False) + "\n")
     return path
 
 
 def file_labels(controllers: Iterable[str]) -> list[str]:
-    """Return the names, without suffix, of the files of the controllers of an evaluation, all different.
+    """Return a different file name without suffix for each controller of an evaluation.
 
-    A folder gives its last part, without colons, and with a number from the second of equal names on.
+    The name of a folder is its last part, without colons; equal names get a number from the second on.
     """
     labels: list[str] = []
     for name in controllers:
@@ -277,7 +280,10 @@ def file_labels(controllers: Iterable[str]) -> list[str]:
 
 
 def write_motions(path: str | Path, episodes: Episodes, machine: Machine, count: int) -> None:
-    """Write the motion of the first episodes of a controller as a table, complete or not at all."""
+    """Write the motion in the first `count` episodes of a controller to a table file.
+
+    If writing fails, an existing file is unchanged.
+    """
     axes, unit = machine.tool_axes, machine.axis_unit.name
     names = [f"{axis}_{unit}" for axis in axes] + [f"{axis}_goal_{unit}" for axis in axes]
     names += machine.input_channels

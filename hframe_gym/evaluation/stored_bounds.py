@@ -30,7 +30,7 @@ class StoredBounds(NamedTuple):
 
 
 def condition_digests(conditions: EpisodeConditions) -> list[str]:
-    """Compute a hash of each episode's machine, start and goal, by which stored settling times are looked up.
+    """Compute a hash of each episode's machine, start and goal, as the key of stored time-optimal bounds.
 
     Before hashing (the first 16 hexadecimal digits of SHA-256), numbers are rounded to nine significant
     digits. Seed, control period and sensors are not hashed.
@@ -53,7 +53,7 @@ def _bounds_by_digest() -> dict[str, float]:
 
 
 def stored_bounds(scenario: Scenario) -> StoredBounds:
-    """Look up the time-optimal bounds of a scenario's episodes; a ValueError if its options are rejected."""
+    """Look up the time-optimal bounds of a scenario's episodes; ValueError if the scenario is invalid."""
     if scenario.controller_task.ahead_s:  # the task previews goals, so that its goal moves
         return StoredBounds(None, "bounds exist for goals that do not move only")
     conditions = episode_conditions(scenario)

@@ -97,7 +97,7 @@ class EffectFamily:
         size: Name of the parameter that sets the strength of the effect, for example an amplitude or a limit.
         ranges: Smallest and largest absolute value of this parameter, SI, where the effect is on, by site.
         signed: Whether it is negative in half of the cases.
-        absent: Its value where the effect is off, SI: one that has no influence (`current_limit`: 12 A).
+        absent: Value of this parameter without the effect, SI, such as 0 (`current_limit`: 12 A).
         others: Distributions of the other parameters, by name; `rotary` has those of the sites phi1 and phi2.
         rotary: Distributions of the other parameters at the sites phi1 and phi2, if they differ.
         fixed: Values of parameters that do not vary, SI, by name.

@@ -47,7 +47,7 @@ def option(
 
 
 def argument(text: str) -> Any:
-    """Declare an exporter's field that `hframe export` takes as an argument without option; see `option`."""
+    """Declare a field of an exporter that `hframe export` takes as a positional argument; see `option`."""
     return dataclasses.field(metadata={HELP: text, ARGUMENT: True, CLI_TYPE: None, RANGE: None})
 
 
@@ -94,7 +94,7 @@ class MachineExporter(Exporter):
         """Compute the contents of the files by name; an InputError if they cannot describe the machine."""
 
     def loaded(self) -> Machine:
-        """Return the machine of the field `machine`; an InputError if it is missing or its file is faulty."""
+        """Load the machine of the field `machine`; InputError if there is none or its file is faulty."""
         return self.machine if isinstance(self.machine, Machine) else load_machine(self.machine)
 
     @override
@@ -124,7 +124,7 @@ class MachineExporter(Exporter):
             )
 
     def provenance(self, machine: Machine) -> dict[str, Any]:
-        """Describe where an export comes from: machine and its hash, options and version, but no date."""
+        """Return the origin of an export: machine with its hash, options and version, but no date."""
         content = json.dumps(machine_to_dict(machine), sort_keys=True)
         options = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "machine"}
         return {
@@ -138,7 +138,7 @@ class MachineExporter(Exporter):
         }
 
     def header(self, machine: Machine, *more: str) -> list[str]:
-        """Write first lines of a text file: provenance, then further statements, without comment signs."""
+        """Return the first lines of a text file without comment signs: its origin, then more statements."""
         about = self.provenance(machine)
         options = ", ".join(f"{name} = {value}" for name, value in about["options"].items())
         lines = [
@@ -161,7 +161,7 @@ def write_export(folder: Path, files: Files, log: LineLog) -> None:
 
 
 def refuse_drive_laws(machine: Machine, what: str) -> None:
-    """Refuse a machine with drives that follow a set point, for a file that has no place for their loops.
+    """Raise an InputError if a machine has drives with a control loop that a file format cannot represent.
 
     Args:
         what: The file with its article, for example "an FMU".
@@ -178,9 +178,9 @@ def refuse_drive_laws(machine: Machine, what: str) -> None:
 
 
 def plain(text: str) -> str:
-    """Return a text as one that is safe inside a comment of any exported language.
+    """Convert a text so that it is safe inside a comment of any exported language.
 
-    It is printable ASCII on one line, without signs that begin or end comments.
+    The result is printable ASCII on one line, without signs that begin or end comments.
     """
     ascii_text = "".join(c if c.isascii() and c.isprintable() else "?" for c in " ".join(text.split()))
     for sign, substitute in (("*/", "* /"), ("/*", "/ *"), ("*)", "* )"), ("(*", "( *"), ("\\", "/")):
@@ -216,12 +216,12 @@ def _plain_value(value: Any) -> Any:
 
 
 def axis_range(coordinate: Coordinate) -> tuple[float, float]:
-    """Return the range of a coordinate, m or rad; without one, -0.25 to 0.25 m, or one turn from 0."""
+    """Return the range of a coordinate, m or rad. By default it is -0.25 to 0.25 m, or 0 to 2 pi rad."""
     return coordinate.range or ((0.0, 2.0 * np.pi) if coordinate.kind == "rotary" else (-0.25, 0.25))
 
 
 def require_linear_axes(machine: Machine, what: str) -> None:
-    """Check that the tool of a machine does not turn, for a file that states its position in m.
+    """Raise an InputError if a tool axis is rotary, because a file states the tool position in m.
 
     Args:
         what: The file, for example "an FMU".
@@ -242,7 +242,7 @@ def operating_point(machine: Machine, at: Sequence[str] | None) -> NDArray[np.fl
 
     Args:
         at: Items "AXIS=POSITION" of linear coordinates, m, or, on a machine without any, of the tool's axes,
-            rad; the others are at 0. None: none.
+            rad. All others are at 0. Default: all at 0.
 
     Returns:
         Position of every coordinate, m or rad, shape (coordinates,).

@@ -95,7 +95,7 @@ def friction_parts(
 
     Args:
         speed: Speeds, m/s or rad/s, not zero, shape (n,).
-        leader: Index of a coordinate whose position varies; None if none does.
+        leader: Index of a coordinate whose position varies; None if all positions are 0.
         position: Positions of this coordinate, m or rad, shape (n,).
         time_s: Time since the machine was switched on, s.
 

@@ -31,8 +31,8 @@ class Gain(NamedTuple):
     """One number of a controller.
 
     Attributes:
-        output: What the gain produces: the force along an axis, or the voltage of a drive.
-        input: What it is multiplied by.
+        output: Output of the gain: the force along an axis, or the voltage of a drive.
+        input: Input of the gain, such as a position error.
     """
 
     controller: str

@@ -39,13 +39,13 @@ class StructuredText(Language):
 
     @override
     def number(self, text: str) -> str:
-        """Return a number; a literal of Structured Text has a decimal point."""
+        """Write a number; a literal of Structured Text needs a decimal point."""
         mantissa, sign, exponent = text.partition("e")
         return (mantissa if "." in mantissa else f"{mantissa}.0") + sign.upper() + exponent
 
     @override
     def choice(self, condition: str, yes: str, no: str) -> str:
-        """Return a selection, whose first value is that of a false condition."""
+        """Write a choice by SEL, whose first value is the one for a false condition."""
         return f"SEL({', '.join(map(unbracketed, (condition, no, yes)))})"
 
     @override
@@ -58,7 +58,7 @@ class StructuredText(Language):
 
     @override
     def assignment(self, target: str, value: str, *, kind: str) -> str:
-        """Return an assignment; names are declared before the body."""
+        """Write an assignment; the names are declared before the body."""
         return f"{target} := {value};"
 
 

@@ -134,5 +134,5 @@ def free_zeros(machine: Machine) -> NDArray[np.bool_]:
 
 
 def has_zero(machine: Machine) -> NDArray[np.bool_]:
-    """Return which sensors have a zero to estimate, shape (sensors,): those of positions or with an offset."""
+    """Return which sensors have a zero to estimate, shape (sensors,): for positions or with an offset."""
     return machine.position_sensors | free_zeros(machine)

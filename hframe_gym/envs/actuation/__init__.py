@@ -1,1 +1,1 @@
-"""Actuation: what the drives of an environment make of the actions, and the voltages after delays."""
+"""Actuation: conversion of actions to the voltages at the motors, with converters and delays."""

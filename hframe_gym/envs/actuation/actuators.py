@@ -58,8 +58,8 @@ class Actuators:
     def apply(self, machine: Machine) -> Machine:
         """Return a copy of a machine whose drives have this D/A converter, current limit and dead time.
 
-        `bits` and `range_V` replace the converter of every drive. `current_limit` becomes the effect of this
-        name, unless a drive has a smaller limit already; `delay` becomes the effect `input_delay`.
+        `bits` and `range_V` replace the converter of every drive. `current_limit` and `delay` become the
+        effects `current_limit` and `input_delay`; a smaller current limit of a drive remains.
 
         Raises:
             InputError: If the machine has an input delay already and `delay` is not 0.
@@ -137,11 +137,12 @@ def check_actions(
 ) -> NDArray[Any]:
     """Check that actions have the shape (environments, drives) and are finite; convert them to floats.
 
-    They may exceed [-1, 1]; the actuators limit them. float32 stays float32, all others become float64.
+    They may exceed [-1, 1], to which the actuators limit them. float32 stays float32, all others become
+    float64.
 
     Args:
-        single: Whether the caller has one environment, and its action no axis of environments; messages then
-            have none.
+        single: Whether the caller has a single environment; messages then state the shape without the axis of
+            environments.
 
     Raises:
         ValueError: If actions are not numbers, have another shape, or an entry is not finite.

@@ -79,9 +79,9 @@ class ActuatorModel:
             self._history[block, :, :, lane] = 0.0
 
     def begin_period(self) -> None:
-        """Make room for the voltages of a new period in the history from which dead times are simulated.
+        """Make room for the voltages of a new period in the history, from which dead times are simulated.
 
-        Call it once per control period, before `command`. Without dead times there is no history: nothing
+        Call it once per control period, before `command`. Without dead times, there is no history and nothing
         happens.
         """
         if self._commanded is not None:  # without dead time nothing reads the history

@@ -67,7 +67,7 @@ class SensorArray:
         self.measurements = np.zeros((2, *size))
 
     def begin(self, index: Index, keys: EpisodeKeys, values: EnvironmentParameters) -> None:
-        """Begin new episodes of k environments: noise, resolution and range of sensors, random keys."""
+        """Begin new episodes of k environments: set the sensors' noise, resolution, range and random keys."""
         self._keys[index] = keys
         block, lane = np.divmod(index, LANES)
         for j, (noise, resolution) in enumerate(self._device_columns):

@@ -169,7 +169,7 @@ class ObservationBuilder:
             self._sensors.measure(self._simulator.readings, elapsed, first, last)
 
     def add_blank(self, observation: Observation) -> None:
-        """Add arrays to an `observation`, shape (count, entries of the key), all but those of its goals."""
+        """Add arrays for all keys but goals to `observation`, not initialized, shape (count, entries)."""
         for key, shape in self._shapes:
             observation[key] = np.empty(shape, _FLOAT32)
 
@@ -249,7 +249,10 @@ class ObservationBuilder:
         )
 
     def write_tool(self, first: int, last: int, tool: NDArray[np.float32]) -> None:
-        """Write true positions, blocks `first` to `last` - 1, limited, to `tool`, m, shape (count, axes)."""
+        """Write the true tool positions of blocks `first` to `last` - 1 to `tool`, m, shape (count, axes).
+
+        They are limited to the bounds of the observation space.
+        """
         self._observe(first, last, self._tool, tool, tool)
 
 

@@ -1,4 +1,4 @@
-"""Sensors of an environment: those that the machine declares, or encoders and lasers in their place.
+"""Sensors of an environment: those that the machine declares, or encoders and lasers instead.
 
 The machine declares its sensors (channel, kind, noise, resolution). Their range, delay, skew and scale are
 effects (modeled deviations from the basic machine). The option `sensors` uses the declared sensors, or
@@ -38,7 +38,7 @@ class Encoders:
             raise InputError(f"sensors: lines is {self.lines!r}, it must be a number, at least 1")
 
     def resolution(self, gear_ratio: float) -> float:
-        """Compute the pulley's rotation per count, rad, for the `gear_ratio` motor speed / pulley speed."""
+        """Compute the pulley's rotation per count, rad; `gear_ratio` is motor speed / pulley speed."""
         return 2.0 * math.pi / (4.0 * self.lines * gear_ratio)
 
 
@@ -174,7 +174,7 @@ SENSOR_PRESETS: dict[str, SensorSuite | None] = {
 
 
 def as_sensors(sensors: SensorsLike) -> SensorSuite | None:
-    """Convert the option `sensors` to a sensor suite, None for "state", or raise an InputError."""
+    """Convert the option `sensors` to a sensor suite; None for "state"; an InputError refuses others."""
     if isinstance(sensors, SensorSuite):
         return sensors
     if not isinstance(sensors, str) or sensors not in SENSOR_PRESETS:
@@ -186,10 +186,10 @@ def as_sensors(sensors: SensorsLike) -> SensorSuite | None:
 
 
 def observed_machine(machine: Machine, sensors: SensorsLike) -> Machine | None:
-    """Return a copy of the machine whose sensors are those in the observation, as a state estimator needs it.
+    """Return a copy of the machine with only the observed sensors, as a state estimator needs it.
 
-    All other sensors and their effects (such as range and delay) are removed. None for the option `sensors`
-    "state", with which the true state is observed.
+    All other sensors and their effects (such as range and delay) are removed. The result is None for the
+    option `sensors` "state", with which the true state is observed.
     """
     suite = as_sensors(sensors)
     if suite is None:

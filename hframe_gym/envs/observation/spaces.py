@@ -232,9 +232,9 @@ def observation_signals(
 
 
 def observation_space(machine: Machine, previews: int = 0) -> spaces.Dict:
-    """Create the observation space of an environment with its default options, but for the task.
+    """Create the observation space of an environment with default options and `previews` future goals.
 
-    The arguments and errors are those of `observation_signals`; the boxes are bounded, float32, one for each
+    The arguments and errors are those of `observation_signals`. The boxes are bounded, float32, one for each
     key.
     """
     signals = observation_signals(machine, previews)
@@ -257,13 +257,13 @@ def bounds_of(signals: Sequence[SignalSpec]) -> tuple[Array, Array]:
 
 
 class ObservationFormat:
-    """Convert observations in SI units to the form that the options `normalize`, `flat` and `error` select.
+    """Conversion of observations from SI units to the format that the environment's options select.
 
-    Normalized entries are (value - center) / scale, computed in float32; `SignalSpec` documents center and
-    scale. The array `error` has, for each axis, sign(e) log(1 + |e| / 0.1 mm) of e = desired_goal -
-    achieved_goal (1 mrad along rotary axes), divided by its value for the largest possible error. A flat
-    observation is one array that holds the keys in alphabetical order, as Gymnasium's `FlattenObservation`
-    does.
+    The options are `normalize`, `flat` and `error`. Normalized entries are (value - center) / scale, computed
+    in float32; `SignalSpec` documents center and scale. The array `error` has, for each axis, sign(e) log(1 +
+    |e| / 0.1 mm) of e = desired_goal - achieved_goal (1 mrad along rotary axes), divided by its value for the
+    largest possible error. A flat observation is one array that holds the keys in alphabetical order, as
+    Gymnasium's `FlattenObservation` does.
 
     Args:
         signals: Specification of every entry, by key in alphabetical order.
@@ -272,7 +272,7 @@ class ObservationFormat:
         error: Whether to add the array `error`.
 
     Attributes:
-        active: Whether observations change at all.
+        active: Whether the conversion changes observations at all.
         entries: Specifications of all entries of a flat observation, in order; None if observations have
             keys.
         space: Observation space of one environment.
@@ -313,7 +313,7 @@ class ObservationFormat:
 
     @property
     def sizes(self) -> dict[str, int]:
-        """Numbers of entries of the arrays in SI units, by key."""
+        """Number of entries of each array of an observation before `apply`, by key."""
         return {key: len(center) for key, center in self._center.items()}
 
     def _normalized(self, key: str, values: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -329,11 +329,11 @@ class ObservationFormat:
         return np.copysign(np.minimum(logarithm, np.float32(1.0)), error)
 
     def apply(self, observation: dict[str, NDArray[np.float32]]) -> Any:
-        """Convert an `observation`, SI, float32, shape (n, entries of the key), as the options select.
+        """Convert an `observation`, SI, float32, shape (n, entries of the key), to the selected format.
 
         Returns:
-            Arrays of the same shapes, with `error` where it is selected, or, with `flat`, one array of
-            shape (n, all entries); without the options `observation` itself.
+            With `flat`, one array of shape (n, all entries). Otherwise arrays by key of the same shapes, with
+            a further array `error` if this option is set. Without any of the options, `observation` itself.
         """
         if not self.active:
             return observation
@@ -347,7 +347,7 @@ class ObservationFormat:
         return np.concatenate([values[key] for key in self._keys], axis=1)
 
     def restore(self, observation: Any) -> dict[str, NDArray[np.float32]]:
-        """Convert observations of the selected format to arrays by key in SI units, the inverse of `apply`.
+        """Convert observations in the selected format back to arrays by key in SI units (inverse of `apply`).
 
         Returns:
             Arrays by key, SI, float32, shape (n, entries of the key); equal to those before `apply` but for
@@ -379,9 +379,9 @@ class ObservationFormat:
         return restored
 
     def goal_rounding(self) -> NDArray[np.float32]:
-        """Return centers (row 0) and scales (row 1) by which goals are normalized, m, shape (2, axes).
+        """Return the centers (row 0) and scales (row 1) that normalize goals, m, shape (2, axes).
 
-        Scales are 0 without the option `normalize`: goals are then observed in meters.
+        Without the option `normalize`, the scales are 0: goals are then observed in meters.
         """
         center, scale = self._center["desired_goal"], self._scale["desired_goal"]
         return np.stack([center, scale if self.normalize else np.zeros_like(scale)])
@@ -394,7 +394,7 @@ class ObservationFormat:
         )
 
     def goal_as_observed(self, goal: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Convert a `goal`, m, float32, shape (n, axes), to how it is observed: normalized or unchanged."""
+        """Convert a `goal`, m, float32, shape (n, axes), to observed goals, which may be normalized."""
         return self._normalized("desired_goal", goal) if self.normalize else goal
 
 

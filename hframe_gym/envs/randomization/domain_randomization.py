@@ -192,7 +192,7 @@ class RandomizeParameter:
             )
 
     def quantile(self, u: Array) -> Array:
-        """Compute the distribution's quantiles for probabilities `u`, shape (k,); `apply` takes them."""
+        """Compute quantiles of the distribution for probabilities `u`, shape (k,), as samples for `apply`."""
         return self._distribution.quantile(u)
 
     @property
@@ -316,5 +316,5 @@ def _as_rule(entry: object) -> Rule:
 
 
 def matching(names: Sequence[str], rule: RandomizeParameter) -> list[int]:
-    """Return ascending indices of names that match a rule's pattern, case-sensitive, as in file names."""
+    """Return the ascending indices of the names that match a rule's pattern; case matters."""
     return [i for i, name in enumerate(names) if fnmatchcase(name, rule.parameter)]

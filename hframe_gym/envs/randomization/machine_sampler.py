@@ -108,12 +108,12 @@ class RuleSampler:
         space: Names, nominal values and limits of all N parameters.
         rules: Randomization rules.
         when: Rules to apply, "reset" (every episode) or "startup" (once per seed); the others are ignored.
-        before: Smallest and largest values before the rules, SI, shape (N,) each. Default: the nominal values
-            twice.
+        before: Smallest and largest values before the rules, SI, shape (N,) each. Default: nominal values for
+            both.
 
     Attributes:
-        names: Full names of the parameters that the rules change; a parameter that is 0 and only scaled does
-            not.
+        names: Full names of the parameters that the rules change; a parameter that is 0 and only scaled is
+            not among them.
         draws: Number of uniform random numbers per environment that `sample` needs.
         low: Smallest possible value of every parameter after sampling, SI, shape (N,).
         high: Largest possible value of every parameter after sampling, SI, shape (N,).

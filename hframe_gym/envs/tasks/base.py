@@ -67,7 +67,10 @@ class Task(ABC):
         return {}
 
     def check(self, workspace: Workspace) -> None:  # noqa: B027  (optional)
-        """Check that starts and goals of the task lie in the workspace; environments call it when made."""
+        """Check that starts and goals of the task lie in the workspace.
+
+        Environments call it when they are created.
+        """
 
     @abstractmethod
     def begin(
@@ -233,11 +236,11 @@ class ReferenceTrajectories:
         return self._task.goal(self._plans[index], self._elapsed_s[index]).astype(np.float32)
 
     def add_blank(self, observation: dict[str, NDArray[np.float32]]) -> None:
-        """Add arrays for the goals to an observation; `write` fills them.
+        """Add arrays for the goals to `observation`; `write` fills them.
 
         `desired_goal`, m, shape (count, axes), is added and, for a task with p future goals, `preview`, m,
-        shape (count, axes * p). They are not initialized, unless goals do not move: `desired_goal` then holds
-        the goals. The argument is `observation`.
+        shape (count, axes * p). They are not initialized, unless goals do not move: `desired_goal` then
+        already holds the goals.
         """
         if not self.moving:
             observation["desired_goal"] = self._fixed_goals.copy()
@@ -279,7 +282,10 @@ class ReferenceTrajectories:
         return self._task.goal(self._plans[b : b + 1], elapsed_s[None])[0].astype(np.float32)
 
     def contour(self, index: Index | slice, tools: Array) -> Array | None:
-        """Compute the contour errors for `tools`, m, shape (k, axes); None for a task without a path."""
+        """Compute the distances of tool positions `tools`, m, shape (k, axes), to the path.
+
+        None without a path.
+        """
         if self._task.metrics != "track":
             return None
         return self._task.contour(self._plans[index], tools, self._elapsed_s[index])

@@ -61,7 +61,12 @@ class Curve:
         return points
 
     def distance(self, points: Array, s: Array) -> Array:
-        """Compute distances, m, (n,), of `points`, m, shape (n, 2), to the curve near `s`, m, shape (n,)."""
+        """Compute the distance of each point to the curve near a given arc length, m, shape (n,).
+
+        Args:
+            points: Points x, y, m, shape (n, 2).
+            s: Approximate arc length of the nearest point of the curve, m, shape (n,).
+        """
         distances = np.empty(len(points))
         write_distances(points, s, self.data, distances)
         return distances
@@ -211,7 +216,7 @@ def _speed_up(t: float, speed: float, lead_s: float) -> float:
 
 @compiled_only
 def traveled(t: float, speed: float, lead_s: float, length: float) -> float:
-    """Compute how far, m, a goal has traveled along its path at time t. Only compiled functions can call it.
+    """Compute how far, m, a goal has traveled along its path at time t; for compiled functions only.
 
     The goal starts at rest and reaches `speed` at t = lead_s, by v = speed (3 u^2 - 2 u^3) with u = t /
     lead_s. On a path of finite length it slows down in the same way, so that it comes to rest at the end of

@@ -1,4 +1,4 @@
-"""Trial of a task: whether its methods return what the environment needs."""
+"""Check a task by a trial: whether its methods return what the environment needs."""
 
 from __future__ import annotations
 

@@ -35,7 +35,10 @@ class Disturbance(Protocol):
         """
 
     def follow(self, forces: Array, period: float, generator: np.random.Generator) -> Array:
-        """Return `forces` of the next `period`, s, from those of this one, N, shape (environments, axes)."""
+        """Return the `forces` of the next control period of `period`, s, N, shape (environments, axes).
+
+        The argument `forces` are those of the present period.
+        """
 
 
 DISTURBANCES: Registry[type[Disturbance]] = Registry("disturbance")

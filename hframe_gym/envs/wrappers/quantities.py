@@ -96,10 +96,10 @@ class StepRecord:
 
 
 def quantity(name: str, unit: str, largest: float) -> Callable[[Callable[[StepRecord], Array]], Quantity]:
-    """Register a function of `StepRecord` as a quantity, as a decorator.
+    """Return a decorator that registers a function of `StepRecord` as a quantity.
 
     Args:
-        unit: Its unit, "1" if dimensionless.
+        unit: Unit of the quantity, "1" if dimensionless.
         largest: Typical largest value, in the unit.
 
     Returns:

@@ -29,8 +29,9 @@ class Entry(NamedTuple):
     Attributes:
         name: Name in results and on the leaderboard.
         kind: "controller" (designed from the declared machine) or "agent" (learned).
-        sha256: Hash of what determines it: files of an agent; source, files and weights of a controller.
-        algorithm: How it was trained, for example "ppo"; empty for a controller.
+        sha256: Hash of everything that determines the entry: files of an agent; source, files and weights of
+            a controller.
+        algorithm: Training algorithm, for example "ppo"; empty for a controller.
         observes: "state", "measurements", or "Kalman estimates" (`StateEstimator` of the package).
         training_steps: Environment steps of its training; None if unknown or without training.
         training_cpu_s: Processor time of its training, s; None if unknown or without training.

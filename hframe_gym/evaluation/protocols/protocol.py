@@ -122,7 +122,7 @@ class Protocol:
         )
 
     def compute_digest(self) -> str:
-        """Compute the `digest` of this installation's settings and episodes; this takes about a second."""
+        """Compute the digest of the settings and episodes that this installation gives, in about a second."""
         settings = {
             field.name: getattr(self, field.name)
             for field in dataclasses.fields(self)
@@ -135,7 +135,7 @@ class Protocol:
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
     def check(self) -> None:
-        """Raise an InputError if this installation gives other settings or episodes than `digest` states."""
+        """Raise an InputError if the settings or episodes of this installation do not match `digest`."""
         digest = self.compute_digest()
         if digest != self.digest:
             raise InputError(
@@ -183,7 +183,7 @@ PROTOCOLS: dict[str, Protocol] = {
 
 
 def get_protocol(name: str) -> Protocol:
-    """Return a benchmark protocol by its name with the version, such as "reach-v1"; or an InputError."""
+    """Return a benchmark protocol by its name with version, such as "reach-v1"; InputError if unknown."""
     if name == GAP:
         raise InputError(
             f"protocol {GAP} has plants of the independent simulator, which is not installed with "

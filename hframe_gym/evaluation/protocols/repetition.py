@@ -19,7 +19,7 @@ REPEATED_DRAWS, REPEATED_SIGMAS, REPEATED_MEAN = 0.12, 2.0, 0.002
 
 
 class Comparison(NamedTuple):
-    """How the values of a run that was repeated differ from those of a file.
+    """Comparison of the values of a repeated run with those of a result file.
 
     Attributes:
         values: Number of values that were compared.

@@ -112,10 +112,10 @@ def result_content(protocol: Protocol, entry: Entry, draws: Mapping[str, Draws])
 
 
 def checksum(content: Mapping[str, Any]) -> str:
-    """Compute the SHA-256 by which a result file shows that it was not edited after the run.
+    """Compute the SHA-256 of a result file's content, which detects accidental edits after the run.
 
-    It covers the protocol with its digest, the entry, the versions and the draws. It protects against
-    mistakes. Someone who edits the draws can compute it again as well; running the entry again shows that.
+    It covers the protocol with its digest, the entry, the versions and the draws. Someone who edits the draws
+    on purpose can compute it again; only a repetition of the run reveals that.
     """
     covered = {key: content[key] for key in ("protocol", "digest", "entry", "versions", "draws")}
     return hashlib.sha256(json.dumps(covered, sort_keys=True).encode()).hexdigest()

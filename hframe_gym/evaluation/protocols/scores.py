@@ -44,7 +44,7 @@ def part_scores(values: Draws, duration_s: float) -> dict[str, Any]:
 
 
 def fill_unsettled(column: list[float | None], duration_s: float) -> Array:
-    """Return a metric's values, shape (B,), with an episode's length for draws that do not settle.
+    """Return a metric's values, shape (B,), in which draws that do not settle have the episode's length.
 
     Args:
         column: B settling times, s, None for a draw that does not settle; values of another metric are not

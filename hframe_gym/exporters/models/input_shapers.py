@@ -97,7 +97,7 @@ class InputShaperExporter(MachineExporter):
     at: list[str] | None = option(None, "Tool position of the modes, as AXIS=POSITION; repeat for more axes.")
 
     def notes(self, machine: Machine) -> list[str]:
-        """Say, in lines for a comment, what the settings are for, and whether they rest on measurements."""
+        """Return lines for a comment: the purpose of the settings, and whether measurements support them."""
         notes = [
             "For the first mode of the carriage along each axis, with the motors held at their "
             "commanded positions as the",

@@ -166,7 +166,7 @@ def modes(A: Array, travel_per_unit: Array, rigid: Array | None = None) -> list[
 
 
 def axis_modes(machine: Machine, position: Array) -> dict[str, Mode]:
-    """Return each tool axis's slowest oscillation while motors stand still, as stiff control holds them.
+    """Return the slowest oscillation along each tool axis while stiff control holds the motors.
 
     An oscillation belongs to the axis that moves most in it.
 

@@ -166,7 +166,7 @@ def _sensors(machine: Machine) -> str:
 
 
 def tool_coordinates(machine: Machine) -> list[Coordinate]:
-    """Return the coordinates of the tool axes; an InputError unless the machine is a tool and pulleys."""
+    """Return the coordinates of the tool axes; InputError if the machine has more than tool and pulleys."""
     require_linear_axes(machine, "a model of bodies")
     axes = [machine.coordinate(name) for name in machine.tool_axes]
     others = [c.name for c in machine.coordinates if c.kind == "linear" and c.name not in machine.tool_axes]
@@ -194,7 +194,10 @@ def carrier_and_riders(axes: list[Coordinate]) -> tuple[Coordinate, list[Coordin
 
 
 def belt_stiffness(machine: Machine, position: Array | None) -> list[float]:
-    """Compute belt stiffness, N/m, without effects, at `position`, m or rad, shape (coordinates,), or 0."""
+    """Compute the stiffness of each belt, N/m, at `position`, m or rad, shape (coordinates,), or at 0.
+
+    Effects are ignored.
+    """
     if position is None:
         return [b.EA / b.rest_length for b in machine.belts]
     nominal = machine.replace(effects=())

@@ -45,7 +45,7 @@ def c_comment(lines: Sequence[str]) -> str:
 
 
 def constants(parameters: Iterable[Parameter], used: Collection[str]) -> str:
-    """Write the parameters whose identifiers are used as constants."""
+    """Write the parameters with identifiers in `used` as constants."""
     return "".join(
         f"static const double {p.identifier} = {p.value!r}; /* {p.comment} */\n"
         for p in parameters
@@ -54,7 +54,7 @@ def constants(parameters: Iterable[Parameter], used: Collection[str]) -> str:
 
 
 def helper_functions(language: C99) -> list[str]:
-    """Write the functions beyond math.h that formulas in a language use."""
+    """Write the functions that formulas of a language use and math.h lacks."""
     return [_HELPERS[name].format(p=language.prefix) for name in sorted(language.helpers & set(_HELPERS))]
 
 
@@ -66,7 +66,10 @@ def declaration(formula: Formula, prefix: str) -> str:
 
 
 def definition(formula: Formula, language: C99) -> tuple[str, frozenset[str]]:
-    """Define a formula as a function; return its text, and those of the parameters and inputs it uses."""
+    """Define a formula as a function.
+
+    Return its text and the texts of the parameters and inputs that it uses.
+    """
     body = write_body(formula, language)
     unused = [s.name for s in formula.inputs if not body.used & set(s.elements()) and s not in formula.states]
     lines = [*(f"(void){name};" for name in unused), *body.lines]

@@ -21,7 +21,7 @@ from ..base import plain
 
 
 class FormulaTrace(Trace):
-    """Trace of a formula without statements; what a kernel would skip by a branch is always evaluated."""
+    """Trace of a formula without branches; what a kernel would skip is always evaluated."""
 
     @override
     def update_if_any(
@@ -58,7 +58,7 @@ class Signal:
     comment: str
 
     def elements(self) -> list[str]:
-        """Write each entry in source text, such as "velocity[0]"; arrays count from 0 in both languages."""
+        """Return each entry as source text, such as "velocity[0]"; arrays count from 0 in both languages."""
         return [f"{self.name}[{i}]" for i in range(self.size)] if self.size else [self.name]
 
 
@@ -81,7 +81,7 @@ class Formula:
 
     @property
     def states(self) -> tuple[Signal, ...]:
-        """Signals that are input and output."""
+        """Signals that are both input and output, such as an integral."""
         return tuple(signal for signal in self.outputs if signal in self.inputs)
 
 
@@ -110,7 +110,7 @@ def trace_formula(
 
 
 def parameters_of(machine: Machine) -> dict[str, Parameter]:
-    """Name the parameters of a machine in source text, by full name; identifiers are unique."""
+    """Return names in source text for the parameters of a machine, by full name; all are different."""
     found: dict[str, Parameter] = {}
     taken: set[str] = set()
     for full, value in machine.parameters.items():

@@ -114,7 +114,7 @@ class InverseDynamics:
         return total, friction
 
     def motor_voltages(self, values: Values, forces: Sequence[Any]) -> list[Any]:
-        """Convert forces to the voltages at motors that cause them, without voltage range and amplifier.
+        """Convert forces to the motor voltages that cause them, without voltage range and amplifier.
 
         Args:
             forces: Forces along the belt travel, N, one per coordinate, as `coordinate_forces` returns them:
@@ -131,12 +131,12 @@ class InverseDynamics:
         ]
 
     def amplifier(self, values: Values, j: int, command: Any) -> Any:
-        """Compute the voltage, V, that a command of drive j, V, gives at the motor."""
+        """Compute the voltage at the motor, V, for a command of drive j, V."""
         commands = [command if k == j else 0.0 for k in range(len(self.machine.drives))]
         return Equations(self.machine, values).motor_voltages(commands)[j]
 
     def commands(self, motor_voltages: Sequence[Any], invert: Callable[[int, Any], Any]) -> list[Any]:
-        """Convert voltages at the motors, V, to commands, V.
+        """Convert motor voltages, V, to the drive commands, V, that give them.
 
         Args:
             motor_voltages: Voltages, V, one value per drive.
@@ -149,10 +149,9 @@ class InverseDynamics:
         ]
 
     def command(self, j: int, voltage: float) -> float:
-        """Invert the amplifier of drive j by bisection: the smallest command, V, that gives the `voltage`, V.
+        """Return the smallest command, V, of drive j that gives a motor `voltage`, V, found by bisection.
 
-        In the jump of a dead band, which no command reaches, it is the command that gives the next larger
-        voltage.
+        In the jump of a dead band, which no command reaches, it is the command for the next larger voltage.
         """
         low, high = 0.0, float(self.limits[j])
         at_rest = self.amplifier(None, j, 0.0)

@@ -1,4 +1,4 @@
-"""Languages of controllers: how they write expressions and assignments, and the body of a formula."""
+"""Programming languages of controllers: how expressions, assignments and bodies of formulas are written."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _INFIX = (*_BINARY, "neg", "fma", "where")  # not written as calls, in C at leas
 
 
 class Language(ABC):
-    """How expressions and assignments are written in a language.
+    """Writer of expressions and assignments in one programming language.
 
     Args:
         prefix: Prefix of the names of all functions.
@@ -38,14 +38,16 @@ class Language(ABC):
 
     @abstractmethod
     def number(self, text: str) -> str:
-        """Write a number, given as Python writes it."""
+        """Write a number, given as text in Python's notation."""
 
     @abstractmethod
     def choice(self, condition: str, yes: str, no: str) -> str:
-        """Write a choice between two values, which are atoms or in brackets as the condition is."""
+        """Write a choice between two values; condition and values are atoms or in brackets."""
 
     def operation(self, name: str, operands: Sequence[str]) -> str:
-        """Write an operation or a call of a function of operands, atoms or in brackets, without brackets.
+        """Write an operation or function call.
+
+        The operands are atoms or in brackets, the result has no brackets.
 
         Args:
             name: Operator such as "+" or name of a function in `dynamics.elementwise`.
@@ -163,7 +165,7 @@ class _Writer:
 
 
 def unbracketed(text: str) -> str:
-    """Return a text without the brackets around all of it."""
+    """Remove brackets that enclose the complete text."""
     if not text.startswith("("):
         return text
     depth = 0

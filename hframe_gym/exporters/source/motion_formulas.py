@@ -76,9 +76,10 @@ class MotionFormulas:
         return [plain(line) for line in lines]
 
     def vectors(self, formula: Formula, count: int, seed: int) -> Vectors:
-        """Compute test vectors of a formula with equations or the controller itself, shape (count, entries).
+        """Compute test vectors of a formula by the simulator's equations, or by the controller for `pid`.
 
-        For `pid` they are successive steps from an integral of zero, for the others a random motion.
+        The vectors of `pid`, shape (count, entries), are successive steps from an integral of zero, those of
+        other formulas a random motion.
         """
         rng = np.random.default_rng(seed)
         time, position, velocity, acceleration = self._random_motion(rng, count)
@@ -327,7 +328,7 @@ def _floats(values: Sequence[Any]) -> list[float]:
 
 
 def check_prefix(prefix: str) -> str:
-    """Return the value of --prefix; an InputError unless it is an identifier of C and Structured Text."""
+    """Return the value of --prefix; InputError if it is no identifier of C and Structured Text."""
     if not _NAME.fullmatch(prefix) or "__" in prefix:
         raise InputError(
             f"--prefix {prefix}: must be a letter followed by at most 30 letters, digits or underscores"
