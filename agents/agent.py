@@ -142,7 +142,7 @@ class Agent(Controller):
 
     @override
     def replace_last_action(self, actions: NDArray[np.float64]) -> None:
-        """Replace the stored last action, which the policy may observe next, with the one that was applied."""
+        """Replace the stored last action, which the policy may observe next, with the one applied."""
         if self.mapping:
             self.mapping.replace_last_action(actions)
 

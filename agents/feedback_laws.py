@@ -84,7 +84,7 @@ class TransferBank:
         self.size = self._gains.shape[1]
 
     def laws(self, observation: NDArray[Any], goal: NDArray[Any]) -> FeedbackLaws:
-        """Compute the first voltages of each transfer, by the design for the operating point nearest the goal.
+        """Compute the first voltages of each transfer, with the design for the operating point at the goal.
 
         The transfers of the declared machine, in the order of the durations, precede those of each variant.
 
