@@ -81,12 +81,13 @@ def feature_parameters(
 
     Returns:
         `radii`: belt travel (radius * angle) per radian of each motor coordinate, m/rad, list of one per
-            motor; a drive that acts on an axis of the tool itself has no motor coordinate. `rest`: belt
-            travel of each motor coordinate per meter of each axis with unstretched belts, m/m, nested list of
-            shape (motors, axes). `meters`: only for rotary axes: length, m, that one rad of the tool position
-            corresponds to. `gains`: only with `transfers` or `preview`; by key of the observation, the matrix
-            from its entries to these voltages as fractions of the rated ones, transfer by transfer, nested
-            list of shape (voltages, entries).
+            motor; a drive that acts on an axis of the tool itself has no motor coordinate.
+        `rest`: belt travel of each motor coordinate per meter of each axis with unstretched belts, m/m,
+            nested list of shape (motors, axes).
+        `meters`: only for rotary axes: length, m, that one rad of the tool position corresponds to.
+        `gains`: only with `transfers` or `preview`; by key of the observation, the matrix from its entries to
+            these voltages as fractions of the rated ones, transfer by transfer, nested list of shape
+            (voltages, entries).
 
     Raises:
         InputError: If the machine has no transfer of one of these durations.

@@ -89,10 +89,10 @@ class Stage(ABC):
         return None
 
     def opened(self) -> None:  # noqa: B027
-        """React to the user opening the stage."""
+        """Update the stage when the user opens it; stages override this method."""
 
     def finished(self, job: Job) -> None:  # noqa: B027
-        """React to the end of a job of this stage."""
+        """Update the stage when a job of it has ended; stages override this method."""
 
     @property
     def job(self) -> Job | None:

@@ -298,8 +298,8 @@ class DifferentiableMotion:
                 sensors).
 
         Returns:
-            states: Derivatives with respect to the states, shape (B, N, S). parameters: Derivatives with
-                respect to the parameters, shape (B, P).
+            states: Derivatives with respect to the states, shape (B, N, S).
+            parameters: Derivatives with respect to the parameters, shape (B, P).
         """
         parameters = np.ascontiguousarray(parameters, dtype=np.float64)
         units = self._units(parameters)[:, None, : self._count]

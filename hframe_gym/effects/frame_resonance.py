@@ -32,7 +32,7 @@ def fits(machine: Machine) -> bool:
 
 
 def fits_site(machine: Machine, site: str) -> bool:
-    """Return whether the effect can act along a coordinate: a linear one that a sensor measures."""
+    """Return whether the effect can act at a coordinate, which must be linear and measured by a sensor."""
     return machine.coordinate(site).kind == "linear" and any(s.coordinate == site for s in machine.sensors)
 
 

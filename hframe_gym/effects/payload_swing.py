@@ -39,7 +39,7 @@ def initial_spread(level, m, f0, r):  # type: ignore[no-untyped-def]
 
 
 def fits_site(machine: Machine, site: str) -> bool:
-    """Return whether the effect can act along a coordinate: an axis of the tool."""
+    """Return whether the effect can act at a coordinate, which must be an axis of the tool."""
     return site in machine.tool_axes
 
 

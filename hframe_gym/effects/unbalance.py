@@ -5,7 +5,7 @@ from ..machine import Effect, EffectParameter, Machine
 
 
 def fits_site(machine: Machine, site: str) -> bool:
-    """Return whether the effect can act on a coordinate, given by its name: it must be rotary."""
+    """Return whether the effect can act at a coordinate, given by its name, which must be rotary."""
     return machine.coordinate(site).kind == "rotary"
 
 

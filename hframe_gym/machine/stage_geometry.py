@@ -122,13 +122,13 @@ class DialGeometry(StageGeometry):
 
     @override
     def pulleys(self, x: float, y: float = 0.0) -> list[Point]:
-        """Return the shaft, which is drawn as a pulley."""
+        """Return the center of the shaft, which is drawn as a pulley."""
         del x, y
         return [(0.0, 0.0)]
 
     @override
     def sections(self, x: float, y: float) -> dict[str, list[Point]]:
-        """Return the arm."""
+        """Return the arm as the only section: a line from the shaft to the tool."""
         return {"arm": [(0.0, 0.0), (x, y)]}
 
 

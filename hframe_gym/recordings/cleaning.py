@@ -46,9 +46,7 @@ _CATCH_UP = 3.0  # times the largest step around a silence
 
 
 def usual_step(time_s: Times) -> float:
-    """Return the longest time between rows that does not count as a gap, s.
-
-    Infinite with fewer than two rows.
+    """Return the longest time between two rows that is not a gap, s; infinite with fewer than two rows.
 
     Returns:
         The sampling period (median step), s. A log of events has none, because a row is written whenever a

@@ -66,7 +66,10 @@ class Kernel:
 
 
 def generate_kernel(machine: Machine, *, forced: bool = False) -> tuple[str, KernelSource]:
-    """Return the source text of a machine's kernel, with external forces if `forced`, and its generator."""
+    """Return the source text of a machine's kernel, and the `KernelSource` that generated it.
+
+    With `forced`, the kernel also takes external forces.
+    """
     source = KernelSource(machine, forced=forced)
     components = {
         "coordinates": machine.coordinates,

@@ -60,7 +60,10 @@ class KernelShape(Protocol):
     clocked: bool
 
     def directions(self, i: int) -> tuple[str, ...]:
-        """Return the suffixes of the names of step constants of coordinate i."""
+        """Return the suffixes of those step constants of coordinate `i` that depend on the direction.
+
+        They are described at `kernel_source.KernelSource.directions`.
+        """
 
     def step_constants(
         self, trace: Trace, equations: Equations, h: Expression

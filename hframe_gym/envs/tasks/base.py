@@ -145,7 +145,7 @@ def as_task(task: TaskLike, unit: AxisUnit = METERS, **settings: Any) -> Task:
     Args:
         task: Registered name ("reach", "track"), `package.module:name`, or a `Task`, which is returned
             unchanged: its lengths are in the unit of the machine's axes.
-        unit: Unit of the machine's axes, in which the defaults of a named task are.
+        unit: Unit of the machine's axes; the default lengths of a named task are converted to it.
         **settings: Keywords of the task's class, for example speed=0.2, if `task` is a name; otherwise
             ignored.
 

@@ -35,15 +35,15 @@ class Comparison(NamedTuple):
 
 
 def compare_draws(result: ResultFile, draws: Mapping[str, Draws]) -> Comparison:
-    """Compare the draws of a result file with those of a run that was repeated.
+    """Compare the draws of a result file with those of a repeated run, to detect edited results.
 
-    Sums are rounded differently on other processors. Friction, estimators and plans amplify this, and a draw
-    that ends near the edge of a band may be in it here and outside there. Repeated on another processor,
-    `apg_plan` differed by more than the tolerances in 2 of 512 draws of reach-v1, and `adaptive-pid` in 53 of
-    512 of hard-v1; such differences go both ways, and means moved by 0.8 % at most. A file is therefore
-    reproduced if the values of few draws differ by more than the tolerances, and if the differences of a
-    metric add up to no more than those of random signs do. Draws that were edited improve, all of them: more
-    than a handful are found.
+    Sums are rounded differently on other processors. Friction, estimators and plans amplify this, so that a
+    draw that ends near the edge of a band may be inside on one processor and outside on another. On another
+    processor, `apg_plan` differed by more than the tolerances in 2 of 512 draws of reach-v1, and
+    `adaptive-pid` in 53 of 512 of hard-v1; the differences had both signs, and means changed by at most 0.8
+    %. A file is therefore reproduced if two conditions hold: few draws differ by more than the tolerances,
+    and the sum of a metric's differences is no larger than it would be with random signs. Edited draws, in
+    contrast, are all better, so that more than a handful are detected.
     """
     protocol = get_protocol(result.protocol)
     count = equal = 0

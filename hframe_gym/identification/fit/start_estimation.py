@@ -115,7 +115,14 @@ def start_for_observer(machine: Machine, run: PreparedRecording, data: Dataset) 
 
 
 def refine_dataset(data: Dataset, machine: Machine, reference: Dataset | None = None) -> Dataset:
-    """Copy a data set, with values that were estimated before the fit replaced by estimates with a machine.
+    """Copy a data set, with corrections that need a fitted machine.
+
+    - Zeros of encoders (measurements at position 0): forces that stretch the belts at rest falsify their
+      estimate.
+    - Voltages in rows that the logger dropped, which were interpolated: see `estimate_lost_voltages`.
+    - Initial states, if they were estimated (`refine_starts`) with another machine.
+    - Initial states of effects that remember motion before the recording, such as hysteresis. They must be
+      close to the true ones, because a fit linearizes the influence of their uncertainty.
 
     Args:
         machine: Fitted machine with its effects.

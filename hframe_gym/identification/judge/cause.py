@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-# Fraction of the missing force beyond noise from which a variable is a cause; chance explains less (synthetic
-# rigs).
+# Smallest fraction of the missing force, beyond noise, that a variable must explain to be a cause. Chance explains
+# less on synthetic rigs.
 MINIMUM_DEPENDENCE = 0.05
-# Relative error of the variance that noise is expected to cause; less beyond noise is uncertain.
+# Relative error of the expected variance of the noise. A part of the force within this error may still be noise.
 NOISE_ERROR = 0.5
-# A special variable comes before a plain one if it explains clearly more: the age of a contact follows from
-# its speed. So does a plain one before a constant, which its curve contains.
+# Factor on what a special variable explains, dimensionless, so that it ranks before a plain one only if it
+# explains clearly more: the age of a contact, for example, follows from its speed. In the same way, a plain
+# variable ranks before a constant force, which its curve contains, only if it explains clearly more.
 SPECIAL_PREFERENCE = 0.95
 
 

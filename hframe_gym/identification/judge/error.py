@@ -11,20 +11,21 @@ Measured = Callable[
     [], float
 ]  # a number that takes seconds to compute; called only if a decision depends on it
 
-# Three ratios of squared errors, on synthetic rigs. Up to this one, two explanations are as good as each
-# other: a value of a parameter for each run and an effect, a machine with and without a description of what
-# it lacks.
+# Ratios of the squared errors of two explanations, dimensionless, from synthetic rigs. Two explanations may be a
+# value of a parameter for each run and an effect, or a machine with and without a description.
+# Largest ratio at which both are equally good.
 AS_GOOD = 1.2
-# From this one, one explanation is clearly worse than the other. Model error that adds up, and parameters
-# that adapt to it, rarely do as much.
+# Smallest ratio at which one is clearly worse. Model error that adds up, and parameters that adapt to it,
+# rarely reach it.
 CLEAR = 2.0
-# From this one, they differ in kind: a right table and wrong effects (1524 and 57), runs of one machine and a
-# run with half of the gain. An effect that one run alone excites reaches 30, so that only a search can tell.
+# Smallest ratio at which they differ in kind. A run with half of the gain exceeds it, and so does the right table
+# beside wrong effects (1524 and 57). An effect that a single run excites reaches 30, so that only a search can
+# distinguish it from a faulty run.
 FAR = 10.0
 
 
-# Factor within which the size of unknown voltages between the rows is known, from the third differences of
-# the logged ones.
+# Factor within which the size of unknown voltages between the rows is known, dimensionless. It is estimated from
+# the third differences of the logged voltages.
 SIZE_OF_VOLTAGES = 2.0
 
 

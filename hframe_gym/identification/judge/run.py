@@ -12,12 +12,12 @@ from .criteria import SelectionCriteria
 from .error import AS_GOOD, CLEAR, FAR, FitError, Measured, is_enough, required_gain
 from .held_out import HeldOutEffect
 
-# Two runs may differ in almost any parameter, and two must agree with each other for another one to
-# contradict them.
+# Smallest number of runs to compare. Two runs may differ in almost any parameter; a third one can contradict two
+# that agree with each other.
 MIN_RUNS_COMPARED = 3
-# Range of a quantity over the runs / its mean, below which all runs need the same other value.
+# Largest range of a quantity over the runs / its mean at which all runs have the same value.
 EQUAL = 0.1
-# Fraction of this range below which two runs have the same value.
+# Largest difference between two runs with the same value, as a fraction of the range over all runs.
 SAME = 0.05
 
 

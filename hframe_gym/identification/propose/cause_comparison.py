@@ -98,7 +98,9 @@ class Signals:
         return self.thinned(by_run)
 
     def thinned(self, by_run: list[Array]) -> Array:
-        """Select the n compared rows of signals, shape (n, k); filter below 30 Hz if forces are filtered.
+        """Select the n compared rows of signals, shape (n, k).
+
+        If the compared forces are filtered, the signals are first filtered in the same way, below 30 Hz.
 
         Args:
             by_run: Signals at all rows of each run, shape (rows of the run, k).

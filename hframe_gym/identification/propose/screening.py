@@ -324,7 +324,8 @@ class LimitedResidual:
 
         Args:
             columns: Indices of the responses, shape (b,).
-            ridge: Added to their products, dimensionless, shape (b, b).
+            ridge: Regularization matrix, added to the inner products of the responses, dimensionless, shape
+                (b, b).
             low: Smallest amounts, dimensionless, shape (b,).
             high: Largest amounts, dimensionless, shape (b,).
         """

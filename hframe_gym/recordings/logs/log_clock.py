@@ -49,7 +49,8 @@ def continued_counter(times: Array) -> tuple[Array, str]:
 
     Returns:
         times: Continuous times in the unit of the log, shape (n,); the given times if they do not go back, or
-        not due to an overflow. remark: Note for the user on the change; "" if nothing was changed.
+            not due to an overflow.
+        remark: Note for the user on the change; "" if nothing was changed.
     """
     for modulus, words in _COUNTERS.items():
         continued, starts = _continued(times, modulus, None)
