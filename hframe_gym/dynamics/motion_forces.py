@@ -112,9 +112,9 @@ class KnownMotion:
         """Return the net forces (`net_forces`) along the motion of the machine with further effects.
 
         Args:
-            equations: Equations of the machine with these effects, which add no coordinates. Only their
-                parameters may have one value for each of several variants; all others are those of the
-                machine without them.
+            equations: Equations of the machine with further effects, which add no coordinates. Parameters of
+                these effects may have one value for each of several variants; all other parameters are
+                unchanged.
 
         Returns:
             Net forces, N or Nm, shape (N, coordinates), or (variants, N, coordinates) for several variants.

@@ -12,7 +12,10 @@ from .winding_heat import fits_site
 
 
 def current(i, V, R, U):  # type: ignore[no-untyped-def]
-    """Return the mean current, A; i: current with back-EMF all the time, A, V: mean voltage, V, R: ohm."""
+    """Return the mean current, A, of a bridge that lets the motor coast between pulses.
+
+    i: current with back-EMF all the time, A, V: mean voltage, V, R: resistance, ohm, U: full voltage, V.
+    """
     return V / R - minimum(absolute(V) / U, 1.0) * (V / R - i)
 
 

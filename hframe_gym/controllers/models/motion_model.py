@@ -41,7 +41,7 @@ FRICTION_COMPENSATION_SPEED = 0.02
 
 
 def axis_travel_per_unit(machine: Machine) -> Array:
-    """Return belt travel per position of each tool axis, shape (axes,): 1, or a rotary one's radius, m/rad."""
+    """Return belt travel per position of each tool axis, shape (axes,): 1, or a radius, m/rad, if rotary."""
     return np.array([machine.coordinate(axis).travel_per_unit for axis in machine.tool_axes])
 
 

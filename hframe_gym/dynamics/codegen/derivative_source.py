@@ -117,9 +117,10 @@ def derivative_source(source: KernelSource, *, friction: str) -> str:
         friction: Derivative of static friction, see `derivatives.Friction`.
 
     Returns:
-        Text of the functions `DERIVATIVE_FUNCTIONS`. Each adds to the rows of the derivatives with respect to
-        parameters, step constants and voltages. A step replaces `adjoint_state`, the derivatives with respect
-        to the state after it, by those with respect to the state before it.
+        Text of the functions `DERIVATIVE_FUNCTIONS`. Each function adds its part to the arrays of derivatives
+        with respect to parameters, step constants and voltages. The function of a step gets, in
+        `adjoint_state`, the derivatives with respect to the state after the step, and overwrites them by
+        those with respect to the state before it.
     """
     traces = [_StepBack(source, friction=friction, by_parameters=flag).reverse for flag in (True, False)]
     constants = ReverseTrace("prepare_back(parameters, adjoint_derived, adjoint_parameters, h: float)")

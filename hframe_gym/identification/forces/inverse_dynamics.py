@@ -30,14 +30,13 @@ _CREEP = 1e-12  # m/s or rad/s; a velocity that has a direction only
 def force_error(machine: Machine, data: Dataset) -> float | None:
     """Return the relative error of the drives' force: rms(F_drive - F_model) / rms(F_drive).
 
-    F_drive follows from the voltages. F_model is the force that the machine needs for the motion that the
-    least noisy sensor of each coordinate measured (inverse dynamics). Positions are interpolated at regular
-    times by cubic splines, since a filter of irregular rows bends the motion, low-pass filtered at 100 Hz
-    without phase lag and differentiated centrally; forces are decimated by ten. If the noise of the sensors
-    would cause an inertial force of more than half of that of the drives, positions and forces are filtered
-    at the highest frequency at which it does not: what a coarse sensor does not resolve says nothing about
-    the machine. Where the motion is too slow for the sensor to resolve, dry friction may have any value
-    within its limits, and the one that makes the error smallest is used.
+    F_drive follows from the voltages. F_model is the force that the machine needs for the measured motion
+    (inverse dynamics), from the least noisy sensor of each coordinate. Positions are interpolated at regular
+    times by cubic splines, low-pass filtered at 100 Hz without phase lag and differentiated centrally; forces
+    are decimated by ten. The cut-off frequency is lower for a coarse sensor, whose noise would otherwise
+    cause an inertial force of more than half of the drives' force. Where the motion is too slow for the
+    sensor to resolve, dry friction may have any value within its limits, and the value with the smallest
+    error is used.
 
     Args:
         data: Measured runs. Missing measurements are interpolated between measurements up to 5 ms apart (half

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-# Smallest fraction of the missing force, beyond noise, that a variable must explain to be a cause. Chance explains
-# less on synthetic rigs.
+# Smallest fraction of the missing force, beyond noise, that a variable must explain to be a cause. Chance
+# explains less on synthetic rigs.
 MINIMUM_DEPENDENCE = 0.05
-# Relative error of the expected variance of the noise. A part of the force within this error may still be noise.
+# Relative error of the expected variance of the noise. A part of the force within this error may still be
+# noise.
 NOISE_ERROR = 0.5
 # Factor on what a special variable explains, dimensionless, so that it ranks before a plain one only if it
 # explains clearly more: the age of a contact, for example, follows from its speed. In the same way, a plain

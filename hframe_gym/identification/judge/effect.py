@@ -25,11 +25,11 @@ from .error import (
     voltages_may_cause,
 )
 
-# Relative distance from a limit of a parameter's range within which a value counts as at the limit. Fits end within
-# rounding errors of a limit, or within the tolerance of a logarithmic parameter.
+# Relative distance from a limit of a parameter's range within which a value counts as at the limit. Fits end
+# within rounding errors of a limit, or within the tolerance of a logarithmic parameter.
 AT_LIMIT = 0.01
-# Largest plausible top speed under rated voltage with / without the effects. Even a machine without any friction
-# does not reach twice the speed.
+# Largest plausible top speed under rated voltage with / without the effects. Even a machine without any
+# friction does not reach twice the speed.
 LARGEST_SPEED_RATIO = 5.0
 
 BY_CHANCE = "reduces the error by no more than chance may, since the remaining error is correlated in time"

@@ -11,21 +11,22 @@ Measured = Callable[
     [], float
 ]  # a number that takes seconds to compute; called only if a decision depends on it
 
-# Ratios of the squared errors of two explanations, dimensionless, from synthetic rigs. Two explanations may be a
-# value of a parameter for each run and an effect, or a machine with and without a description.
+# Ratios of the squared errors of two explanations, dimensionless, from synthetic rigs. Two explanations may
+# be a value of a parameter for each run and an effect, or a machine with and without a description.
+#
 # Largest ratio at which both are equally good.
 AS_GOOD = 1.2
 # Smallest ratio at which one is clearly worse. Model error that adds up, and parameters that adapt to it,
 # rarely reach it.
 CLEAR = 2.0
-# Smallest ratio at which they differ in kind. A run with half of the gain exceeds it, and so does the right table
-# beside wrong effects (1524 and 57). An effect that a single run excites reaches 30, so that only a search can
-# distinguish it from a faulty run.
+# Smallest ratio at which they differ in kind. A run with half of the gain exceeds it, and so does the right
+# table beside wrong effects (1524 and 57). An effect that a single run excites reaches 30, so that only a
+# search can distinguish it from a faulty run.
 FAR = 10.0
 
 
-# Factor within which the size of unknown voltages between the rows is known, dimensionless. It is estimated from
-# the third differences of the logged voltages.
+# Factor within which the size of unknown voltages between the rows is known, dimensionless. It is estimated
+# from the third differences of the logged voltages.
 SIZE_OF_VOLTAGES = 2.0
 
 

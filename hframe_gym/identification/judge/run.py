@@ -12,8 +12,8 @@ from .criteria import SelectionCriteria
 from .error import AS_GOOD, CLEAR, FAR, FitError, Measured, is_enough, required_gain
 from .held_out import HeldOutEffect
 
-# Smallest number of runs to compare. Two runs may differ in almost any parameter; a third one can contradict two
-# that agree with each other.
+# Smallest number of runs to compare. Two runs may differ in almost any parameter; a third one can contradict
+# two that agree with each other.
 MIN_RUNS_COMPARED = 3
 # Largest range of a quantity over the runs / its mean at which all runs have the same value.
 EQUAL = 0.1

@@ -10,13 +10,13 @@ from ...arrays import Array
 from .criteria import SelectionCriteria
 from .error import AS_GOOD, CLEAR, FitError, is_enough, required_gain, voltages_may_cause
 
-# Smallest fraction of command changes that follow a change in the row before, for a controller that is faster than
-# the log. Such a controller changes its output in row after row while the machine moves (0.88 to 1.0); steps and
-# square waves do not (0).
+# Smallest fraction of command changes that follow a change in the row before, for a controller that is faster
+# than the log. Such a controller changes its output in row after row while the machine moves (0.88 to 1.0);
+# steps and square waves do not (0).
 ROW_AFTER_ROW = 0.5
-# Number of standard deviations at which an estimated delay of the voltages is clear; chance exceeds it once in a
-# thousand times. This suffices because a single delay is tested after each effect, not the best of hundreds of
-# candidates.
+# Number of standard deviations at which an estimated delay of the voltages is clear; chance exceeds it once
+# in a thousand times. This suffices because a single delay is tested after each effect, not the best of
+# hundreds of candidates.
 CLEAR_DELAY = 3.3
 
 

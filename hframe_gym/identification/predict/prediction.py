@@ -189,14 +189,14 @@ def observer_gains(machine: Machine, period: float, bandwidth: float = SEARCH_BA
     """Return the gains of the Luenberger observer that feeds measurements back into a prediction.
 
     Each sensor of a position corrects its coordinate by an observer of second order with two equal poles at
-    the bandwidth; one of a speed corrects the velocity, with one pole. What is behind the teeth of a gear
-    moves with it, and coordinates that no sensor corrects follow so that no belt is stretched.
+    the bandwidth; each sensor of a speed corrects the velocity, with one pole. What is behind the teeth of a
+    gear moves with it, and coordinates that no sensor corrects follow so that no belt is stretched.
 
     Args:
         machine: Machine whose sensors are fed back.
         period: Sampling period, s.
-        bandwidth: Observer bandwidth of the encoders, rad/s. Lasers get 5/12 of it; without encoders, they
-            get all.
+        bandwidth: Observer bandwidth of the encoders, rad/s. Lasers have 5/12 of it, or the same bandwidth if
+            there are no encoders.
 
     Returns:
         Corrections at each sample per m or rad of measured minus predicted value: of the positions (first

@@ -36,8 +36,9 @@ def voltage_responses(
 ) -> tuple[sparse.csr_array, Array]:
     """Return the derivative of the residual with respect to the voltages in some rows, and the residual.
 
-    Rows whose responses do not overlap are perturbed in the same prediction. Every residual lacks its mean,
-    the error of the sensor's zero, which depends on all of these rows; alternating directions keep it small.
+    Rows whose responses do not overlap are perturbed in the same prediction, to save time. Their directions
+    alternate, which keeps the mean of the responses small: it is subtracted from every residual as an error
+    of the sensor's zero.
 
     Args:
         machine: Machine that predicts.

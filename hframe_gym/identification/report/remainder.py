@@ -105,10 +105,10 @@ def reason_of_remainder(report: Report) -> str:
 
 
 def largest_position_error(evaluation: Evaluation) -> str:
-    """Return the largest rms error of the position channels, in words.
+    """Return the largest rms error of the position channels as text: of lengths, or else of angles.
 
-    Lengths come first, then angles. Of channels of other kinds, whose units do not compare, it is the error
-    of the channel with the largest multiple of its noise.
+    Without positions, it is the error of the channel with the largest multiple of its noise, because other
+    units cannot be compared.
     """
     errors = evaluation.channels
     measured = {channel: error.rmse for channel, error in errors.items() if error.rmse is not None}

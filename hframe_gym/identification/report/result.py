@@ -128,7 +128,7 @@ class IdentificationResult:
 
     @property
     def explained(self) -> float:
-        """Fraction of squared error beyond noise, on held-out runs, that selected effects remove, or 0."""
+        """Fraction of squared error beyond noise, on held-out runs, that effects remove; 0 without any."""
         before, after = (max(e.held_out.noise_ratio**2 - 1.0, 0.0) for e in (self.before, self.after))
         return 0.0 if not self.effects or before <= 0.0 else 1.0 - after / before  # NaN if one diverges
 

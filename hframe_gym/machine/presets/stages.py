@@ -180,10 +180,11 @@ def corexy() -> Machine:
 def printer() -> Machine:
     """Return the CoreXY stage of a 3D printer: its stepper motors follow the positions of a planner.
 
-    The torque of a stepper motor with 50 pole pairs grows with the angle behind the command by 50 times its
-    holding torque per rad, here 0.48 Nm, the stall torque of the preset `corexy`. Its natural damping is low:
-    a tenth of the critical one for the rotor with the carriage. The kind "position" holds the torque at its
-    limit; a drive of the kind "stepper" loses steps there, and needs commands at the rate of the steps.
+    A stepper motor with 50 pole pairs acts as a spring to the commanded angle, with a stiffness per rad of 50
+    times its holding torque. The holding torque here is 0.48 Nm, the stall torque of the preset `corexy`. Its
+    natural damping is low: a tenth of the critical one for the rotor with the carriage. The kind "position"
+    holds the torque at its limit; a drive of the kind "stepper" loses steps there, and needs commands at the
+    rate of the steps.
 
     Returns:
         The preset `printer`: `corexy` with drives of the kind "position" and sensors of x and y only.

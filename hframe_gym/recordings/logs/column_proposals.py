@@ -36,9 +36,9 @@ _SET_POINTS = ("length", "angle", "linear speed", "angular speed")
 def proposed_headers(machine: Machine, missing: Sequence[str], unused: Sequence[LogColumn]) -> dict[str, str]:
     """Propose the header of a column for each unassigned channel; "COLUMN" (`NO_PROPOSAL`) if none fits.
 
-    Channels with the fewest candidates come first. A column of the quantity of one channel is not proposed
-    for another one to which it would be converted. If several channels compete for fewer columns, none of
-    them gets a proposal.
+    Channels with the fewest candidates come first. A column whose quantity is exactly that of one channel is
+    not proposed for another channel, which would need a conversion. If several channels compete for fewer
+    columns, none of them gets a proposal.
     """
     candidates = {channel: _candidates(machine, channel, unused) for channel in missing}
     alike = {
