@@ -34,6 +34,7 @@ from .findings import Finding, Severity, channel_unit
 from .identifiability import check_parameters
 from .input_noise import check_input_noise
 from .run_signs import check_signs_of_runs
+from .runs_apart import check_inputs_of_runs, check_rates, check_travel_of_runs
 from .sampling import (
     check_input_timing,
     check_sampling,
@@ -183,6 +184,7 @@ def _faults_and_advice(
         message = "nothing moves in any run: are the drives powered and the sensors connected?"
         return [*findings, Finding("fault", "", "", message)]
     moved = [recording for recording in cleaned if recording.name in moving]
+    findings += check_rates(moved) + check_inputs_of_runs(data.with_runs(moving), machine)
     findings += _position_checks(moved, data, machine) + check_speeds(moved, machine)
     if not any(finding.severity == "fault" for finding in findings):
         findings += check_starts(moved, data, machine)
@@ -211,11 +213,22 @@ def _position_checks(recordings: Sequence[Recording], data: Dataset, machine: Ma
         recordings = [dataclasses.replace(r, outputs=r.outputs[:, of_position]) for r in recordings]
         usable = [without_moving_start(recording, machine) for recording in recordings]
         positions, _ = prepare_within_ranges(usable, machine, SaturationCriteria())
-    return (
-        stuck_outputs(recordings, machine)
-        + check_wiring(positions, machine)
-        + check_scales(positions, machine)
-    )
+    stuck = stuck_outputs(recordings, machine)
+    positions = _without_stuck_outputs(positions, stuck, machine)
+    apart = check_travel_of_runs(positions, machine)
+    if apart:
+        return stuck + apart  # all runs together would have the scale of none
+    return stuck + check_wiring(positions, machine) + check_scales(positions, machine)
+
+
+def _without_stuck_outputs(data: Dataset, stuck: Sequence[Finding], machine: Machine) -> Dataset:
+    """Return runs without the measurements of sensors that are certainly stuck, whose travel has no scale."""
+    faults = {(finding.run, finding.channel) for finding in stuck if finding.severity == "fault"}
+    runs = []
+    for run in data.runs:
+        columns = [(run.name, channel) in faults for channel in machine.output_channels]
+        runs.append(dataclasses.replace(run, outputs=np.where(columns, np.nan, run.outputs)))
+    return dataclasses.replace(data, runs=tuple(runs))
 
 
 def _wraps(recording: Recording, machine: Machine) -> list[Finding]:

@@ -37,6 +37,7 @@ from .findings import Finding, Severity
 
 _LONG_PERIOD = 0.2  # s; slower samples cannot record the motion of a machine
 _LONG_RUN = 120.0  # s
+_SHORT_RUN = 0.05  # s; as long as the rest before a motion should be, so that no motion fits in
 _NEIGHBORS = 10  # rows on each side of a gap whose lateness is compared
 _JITTER = 0.02  # standard deviation of the time steps / period above which it is noted
 _IRREGULAR = 0.1  # standard deviation of the time steps / period above which identification may suffer
@@ -80,8 +81,9 @@ def check_sampling(recording: Recording, stamp_jitter: float = 0.0) -> list[Find
 
     Returns:
         Findings (severity, run, channel, message). Fewer rows than identification needs (20) are a fault.
-        Lost samples, times that are late although no row is missing, a duration above 120 s and a jitter
-        above 10 % of the period are advice; a jitter of 2 % to 10 % is a note. Empty if nothing is wrong.
+        Lost samples, times that are late although no row is missing, a duration below 0.05 s or above 120 s
+        and a jitter above 10 % of the period are advice; a jitter of 2 % to 10 % is a note. Empty if nothing
+        is wrong.
     """
     steps = np.diff(recording.time_s)
     if len(steps) + 1 < MIN_ROWS:
@@ -111,6 +113,9 @@ def check_sampling(recording: Recording, stamp_jitter: float = 0.0) -> list[Find
             f"{number} ({duration} in total, {100 * lost / np.sum(steps):.2g} %): samples were dropped or "
             "taken late; identification estimates the inputs in gaps of up to 20 rows from the motion"
         )
+        findings.append(Finding("advice", recording.name, "time_s", message))
+    if np.sum(steps) < _SHORT_RUN:
+        message = f"is only {1e3 * np.sum(steps):.3g} ms long: are its times in another unit?"
         findings.append(Finding("advice", recording.name, "time_s", message))
     if np.sum(steps) > _LONG_RUN:
         message = (

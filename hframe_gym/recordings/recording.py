@@ -7,7 +7,7 @@ header) and column.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -35,6 +35,10 @@ from .tables.text_reader import Progress, cumulative
 from .wrong_units import UNIT_WORDS, refuse_wrong_units
 
 MIN_ROWS = 20_000  # rows that are read of each run; typical runs have fewer
+# Endings of files that hold tables as a rule; text files are often notes.
+_TABLE_SUFFIXES = (
+    *(".csv", ".tsv", ".dat", ".mat", ".parquet", ".gz", ".xlsx", ".xls", ".ods", ".zip", ".7z", ".rar"),
+)
 _ROWS_PER_WRITE = 50_000  # so many rows are held in memory as text, a few tens of MB
 _COMPRESSION = 4  # level of gzip; higher levels take several times as long and save a few percent
 _LARGEST_DUTY = 1.05  # the noise of a measured duty cycle may exceed 1
@@ -80,7 +84,8 @@ def load_recordings(
         progress: Called with the number of bytes read so far and the total number.
         max_rows: Largest number of rows of all runs together, divided evenly among the runs: of each run, the
             first max_rows / number of runs rows are used, but at least 20,000. Default: all rows are used.
-        log: Called with a line of text for each run of which only the beginning is used.
+        log: Called with a line of text for each run of which only the beginning is used, and for what else
+            lies in the folder that may be runs.
 
     Returns:
         The runs in the order of their file names.
@@ -90,14 +95,17 @@ def load_recordings(
             `a.parquet`), or a file is invalid.
     """
     machine, path = load_machine(machine), Path(folder)
+    convert = import_command(path, machine.name)
     if not path.is_dir():
-        advice = f"is a file, give the folder of runs; a log becomes runs with {import_command(path)}"
+        advice = f"is a file, give the folder of runs; a log becomes runs with {convert}"
         raise InputError(f"{path}: {advice if path.exists() else 'no such folder'}")
     files = recording_files(path)
     if not files:
-        others = f"; logs of other formats become runs with {import_command(path)}"
+        others = f"; logs of other formats become runs with {convert}"
         advice = others if any(path.iterdir()) else "; it is empty"
         raise InputError(f"{path}: no recordings ({', '.join(SUFFIXES)}) in this folder{advice}")
+    if others := _possible_runs(path, files):
+        log(f"{path}: not read, because recordings end in {', '.join(SUFFIXES)}: {', '.join(others)}")
     for first, second in pairwise(sorted(files, key=run_name)):
         if run_name(first) == run_name(second):
             raise InputError(
@@ -115,6 +123,19 @@ def load_recordings(
             seconds = recording.time_s[rows - 1] - recording.time_s[0]
             log(f"{recording.name}: only the first {seconds:.4g} s ({rows} rows) are used, see --max-rows")
     return recordings
+
+
+def _possible_runs(folder: Path, runs: Sequence[Path]) -> list[str]:
+    """Return the names of a folder's files that may be runs as well, and of folders in it that have runs."""
+    names = []
+    for entry in sorted(folder.iterdir()):
+        if entry.name.startswith(".") or entry in runs:
+            continue
+        if entry.is_dir() and (inside := recording_files(entry)):
+            names.append(f"{entry.name}/ ({len(inside)} recording{'s' * (len(inside) > 1)})")
+        elif entry.is_file() and entry.name.lower().endswith(_TABLE_SUFFIXES):
+            names.append(entry.name)
+    return names
 
 
 def load_recording(
@@ -144,7 +165,7 @@ def load_recording(
     try:
         header, columns = read_table(path, progress, max_rows)
     except ForeignFormatError as error:
-        raise InputError(f"{error}. Convert it: {import_command(path)}") from None
+        raise InputError(f"{error}. Convert it: {import_command(path, machine.name)}") from None
     _check_header(path, header, machine, outputs_needed=outputs_needed)
     return recording_from_columns(path, columns, machine)
 
@@ -177,10 +198,7 @@ def recording_from_columns(path: Path, columns: Mapping[str, Array], machine: Ma
     try:
         refuse_decreasing_times(path, time_s)
     except InputError as error:
-        convert = f"{import_command(path)} --map time_s=1000Hz"
-        raise InputError(
-            f"{error}: correct the time or delete the row. If the rows are regular: {convert}"
-        ) from None
+        raise InputError(f"{error}: {_repair_of_times(path, time_s, machine)}") from None
     _refuse_gaps(path, time_s)
     inputs = np.column_stack([_voltages(path, columns, drive) for drive in machine.drives])
     unmeasured = np.full(len(time_s), np.nan)
@@ -193,6 +211,16 @@ def recording_from_columns(path: Path, columns: Mapping[str, Array], machine: Ma
     recording = Recording(run_name(path), time_s, inputs, outputs)
     refuse_wrong_units(path, recording.outputs, machine)
     return recording
+
+
+def _repair_of_times(path: Path, time_s: Array, machine: Machine) -> str:
+    """Say how times that do not increase can be repaired: a rate repairs repeated times, but no order."""
+    if np.any(np.diff(time_s) < 0.0):
+        return "are rows in a wrong order? Sort them, or delete those whose time is wrong"
+    span = float(time_s[-1] - time_s[0])
+    rate = f"{(len(time_s) - 1) / span:.4g}" if span > 0.0 else "1000"
+    convert = f"{import_command(path, machine.name)} --map time_s={rate}Hz"
+    return f"correct the time or delete the row. If the rows are regular: {convert}"
 
 
 def _voltages(path: Path, columns: Mapping[str, Array], drive: Drive) -> Array:
@@ -315,6 +343,7 @@ def _check_header(path: Path, header: list[str], machine: Machine, *, outputs_ne
     """Refuse a header with unknown, repeated or missing columns."""
     expected = ["time_s", *machine.input_channels, *machine.output_channels]
     channels = f"machine {machine.name!r} has {', '.join(expected)}"
+    convert = import_command(path, machine.name)
     for name in header:
         if header.count(name) > 1:
             raise InputError(f"{path}, column {name}: appears twice")
@@ -324,16 +353,14 @@ def _check_header(path: Path, header: list[str], machine: Machine, *, outputs_ne
         wanted = [c for c in expected if split_unit(c)[0].lower() == plain_name.lower()]
         if unit and wanted and unit != split_unit(wanted[0])[1]:
             wrong = f"is in {UNIT_WORDS.get(unit, unit)}; recordings have {wanted[0]}"
-            raise InputError(f"{path}, column {name}: {wrong}. Convert it: {import_command(path)}")
-        advice = (
-            f"{_machine_question(path)} If it is, rename the column or leave it out: {import_command(path)}"
-        )
+            raise InputError(f"{path}, column {name}: {wrong}. Convert it: {convert}")
+        advice = f"{_machine_question(path)} If it is, rename the column or leave it out: {convert}"
         raise InputError(f"{path}, column {name}: unknown; {channels}. {advice}")
     missing = [name for name in expected if name not in header]
     if not outputs_needed and not set(header) & set(machine.output_channels):
         missing = [name for name in missing if name not in machine.output_channels]
     if missing:
-        advice = f"; a channel that was not measured is an empty column, which {import_command(path)} adds"
+        advice = f"; a channel that was not measured is an empty column, which {convert} adds"
         if missing[0] not in machine.output_channels:
             advice = f"; {channels}. {_machine_question(path)} If it is, the column must be recorded"
         raise InputError(f"{path}, column {missing[0]}: missing (the header has {', '.join(header)}){advice}")

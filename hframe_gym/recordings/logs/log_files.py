@@ -24,14 +24,19 @@ def open_logs(path: Path) -> list[Log]:
         InputError: If the file is empty, has no columns of numbers, or is of a kind that cannot be read. The
             message says how to export it.
     """
-    start = b""
-    if path.is_file():
-        with open(path, "rb") as file:
-            start = file.read(START_BYTES)
+    start = start_of(path)
     found = max((k for k in _formats() if k.recognizes(path, start)), key=lambda kind: kind.precedence)
     if found.precedence == ANY_TEXT:
         refuse_foreign_file(path, start)
     return found.open(path)
+
+
+def start_of(path: Path) -> bytes:
+    """Return the first bytes of a file, from which its format is recognized; none of a folder."""
+    if not path.is_file():
+        return b""
+    with open(path, "rb") as file:
+        return file.read(START_BYTES)
 
 
 def find_logs(path: str | Path) -> tuple[list[Path], list[Path]]:
@@ -44,7 +49,7 @@ def find_logs(path: str | Path) -> tuple[list[Path], list[Path]]:
         logs: Files of the folder, in alphabetical order, with the endings of the registered formats (.csv,
             .txt, .mat, ...), except documents such as readme.txt, and folders in it that are one log, such as
             bags of ROS 2; or the one log.
-        other_files: The remaining files of the folder, except hidden ones.
+        others: The remaining files of the folder, and folders in it that have logs, except hidden ones.
 
     Raises:
         InputError: If the path does not exist, the folder has no logs, or two of them would become runs of
@@ -76,7 +81,9 @@ def find_logs(path: str | Path) -> tuple[list[Path], list[Path]]:
             raise InputError(
                 f"{second}: would be the same run {log_name(first)!r} as {first.name}; rename one"
             )
-    return logs, [p for p in files if p not in logs]
+    folders = [p for p in entries if p.is_dir() and not any(p in (log, *log.parents) for log in logs)]
+    with_logs = [p for p in folders if any(f.is_file() and _is_log(f, formats) for f in p.iterdir())]
+    return logs, sorted([*(p for p in files if p not in logs), *with_logs])
 
 
 def log_name(path: Path) -> str:

@@ -24,9 +24,10 @@ from ..cleaning import missing_rows, usual_step
 from ..recording import Recording, run_name, write_recording
 from ..tables.table_file import SUFFIXES
 from ..tables.text_reader import Progress, cumulative
+from .foreign_files import refuse_foreign_file
 from .log import Log, headers_text
 from .log_conversion import EmptyLogError, LogConverter
-from .log_files import find_logs, log_size
+from .log_files import find_logs, log_size, start_of
 from .log_join import open_joined
 from .log_mapping import ChannelSource, MappingOptions, map_columns
 from .log_rests import split_at_rests
@@ -135,8 +136,7 @@ def import_logs(
     existing = (
         {run_name(p) for p in folder.iterdir() if p.name.endswith(SUFFIXES)} if folder.exists() else set()
     )
-    if other_files:
-        log(f"skipped (by their names or content, no logs): {', '.join(p.name for p in other_files)}")
+    _report_skipped(other_files, log)
     # Each byte counts twice: once for reading, once for writing, which take about as long.
     total = 2 * sum(map(log_size, paths))
     several = len(paths) + len(existing) > 1
@@ -159,6 +159,20 @@ def import_logs(
         before = f"{folder} has runs of these logs from before ({name_runs(others)})"
         log(f"{before}: delete them unless they are other recordings")
     return written
+
+
+def _report_skipped(files: Sequence[Path], log: LineLog) -> None:
+    """Report what is not imported of a folder; of spreadsheets and archives, say what to do with them."""
+    others = []
+    for file in files:
+        try:
+            refuse_foreign_file(file, start_of(file))
+        except InputError as error:
+            log(f"skipped: {error}")
+        else:
+            others.append(file.name + "/" * file.is_dir())
+    if others:
+        log(f"skipped (by their names or content, no logs): {', '.join(others)}")
 
 
 def read_mapping_file(path: str | Path) -> MappingOptions:
@@ -241,6 +255,10 @@ class _Importer:
 
     def runs(self, path: Path) -> Iterator[Recording]:
         """Convert a file and yield its runs, one log of the file after the other."""
+        if self._one_of_many and path.is_file() and not path.stat().st_size:
+            self._log(f"{path.name}:")
+            self._log("  left out: the file is empty")
+            return
         logs = open_joined(path, self._settings.join)
         for log in logs:
             yield from self._runs_of(log, log_size(path) / len(logs))

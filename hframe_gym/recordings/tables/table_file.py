@@ -21,6 +21,7 @@ from .text_format import detect_format
 from .text_reader import Progress, read_columns
 
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
+_DEFAULT_MACHINE = "hframe"  # that of the option --machine
 
 
 class ForeignFormatError(InputError):
@@ -85,9 +86,15 @@ def compressed_by_name(
     return gzip.GzipFile("", "wb", level, file, mtime=0)
 
 
-def import_command(path: Path) -> str:
-    """Return the command `hframe import ... RUNS` that converts a log to recordings, for error messages."""
-    return f"hframe import {quoted(str(path))} --out RUNS"
+def import_command(path: Path, machine_name: str) -> str:
+    """Return the command `hframe import ... RUNS` that converts a log to recordings, for error messages.
+
+    Args:
+        path: Log, or folder of logs.
+        machine_name: Name of the machine; its file is a blank in the command, unless it is the default.
+    """
+    machine = "" if machine_name == _DEFAULT_MACHINE else " --machine MACHINE"
+    return f"hframe import {quoted(str(path))}{machine} --out RUNS"
 
 
 def cell_text(path: Path, name: str, column: Array, row: int) -> str:

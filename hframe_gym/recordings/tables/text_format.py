@@ -143,7 +143,7 @@ def _first_lines(path: Path, encoding: str) -> list[str]:
 
 def _refuse_decimal_commas(path: Path, above: Sequence[Sequence[str]], width: int) -> None:
     """Refuse rows of so many more cells than names that commas must be both separators and decimal marks."""
-    names = max(map(len, above), default=0)
+    names = max((len(row) for row in above if not is_data(row)), default=0)
     if names > 1 and names + 1 < width <= 2 * names:
         raise InputError(
             f"{path}: the rows have {width} cells under {names} names; "
@@ -169,7 +169,7 @@ def open_text(path: Path, encoding: str) -> Iterator[tuple[TextIO, BinaryIO]]:
     """
     try:
         with open(path, "rb") as file:
-            compressed = file.read(2) == b"\x1f\x8b" or path.suffix == ".gz"
+            compressed = file.read(2) == b"\x1f\x8b"
             file.seek(0)
             stream = cast(BinaryIO, gzip.GzipFile(fileobj=file)) if compressed else file
             with io.TextIOWrapper(stream, encoding, newline=None) as text:
@@ -177,7 +177,12 @@ def open_text(path: Path, encoding: str) -> Iterator[tuple[TextIO, BinaryIO]]:
     except UnicodeDecodeError as error:
         name = encoding.removesuffix("-sig").upper()
         raise InputError(f"{path}: cannot be read: not {name} text ({error.reason})") from None
-    except (OSError, EOFError, zlib.error) as error:
+    except EOFError:
+        raise InputError(
+            f"{path}: cannot be read: it ends in the middle of the compressed data. Copy it again, or unpack "
+            "what there is by gzip -dc"
+        ) from None
+    except (OSError, zlib.error) as error:
         raise InputError(f"{path}: cannot be read: {error}") from None
 
 
@@ -190,8 +195,11 @@ def _detect_encoding(path: Path) -> tuple[str, list[str]]:
     for mark, encoding in ((codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16")):
         if raw.startswith(mark):
             return encoding, ["it is UTF-16 text"]
-    if "\0" in sample[1::2] and "\0" not in sample[::2]:
-        return "utf-16-le", ["it is UTF-16 text"]
+    # Without a mark: in text of mostly Latin letters, every other byte is zero.
+    for start, encoding in ((1, "utf-16-le"), (0, "utf-16-be")):
+        zeros, others = sample[start::2], sample[1 - start :: 2]
+        if zeros.count("\0") > len(zeros) / 2 and "\0" not in others:
+            return encoding, ["it is UTF-16 text"]
     if "\0" in sample:
         raise InputError(f"{path}: is not a text file")
     try:

@@ -347,11 +347,17 @@ def test_logs_with_time_stamps_share_a_clock(table: Table, hframe: Machine, tmp_
         (tmp_path / "logs" / name).write_text("\n".join([header, *stamps]))
     for name in ("notes.md", "README.txt"):
         (tmp_path / "logs" / name).write_text("Both logs were recorded in May.")
+    (tmp_path / "logs" / "c.csv").touch()
+    (tmp_path / "logs" / "more.zip").write_bytes(b"PK\x03\x04")
+    (tmp_path / "logs" / "tuesday").mkdir()
+    (tmp_path / "logs" / "tuesday" / "d.csv").write_text(header)
     lines: list[str] = []
     import_logs(tmp_path / "logs", tmp_path / "runs", hframe, log=lines.append)
     a, b = load_recordings(tmp_path / "runs", hframe)
     np.testing.assert_array_equal(b.time_s, np.round(a.time_s + 86400.0, 3))
-    assert "skipped (by their names or content, no logs): README.txt, notes.md" in lines
+    assert "skipped (by their names or content, no logs): README.txt, notes.md, tuesday/" in lines
+    assert f"skipped: {tmp_path / 'logs' / 'more.zip'}: is an archive; unpack it" in "\n".join(lines)
+    assert lines[lines.index("c.csv:") + 1] == "  left out: the file is empty"
     assert "b.csv: same format and columns as the log before" in lines
 
 
