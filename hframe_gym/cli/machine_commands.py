@@ -148,7 +148,8 @@ def new_machine_file(
     encoder_lines: Annotated[int | None, Option(help="Lines of the motors' encoders; 0: none.")] = None,
     linear_sensor: Annotated[bool | None, Option(help="Whether sensors measure x and y.")] = None,
     drive: Annotated[
-        str, Option(help="What is commanded: voltage, duty-cycle, current, torque, position or speed.")
+        str,
+        Option(help="What is commanded: voltage, duty-cycle, current, torque, position, speed or stepper."),
     ] = "",
     sensor: Annotated[
         list[str] | None,

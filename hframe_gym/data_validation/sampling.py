@@ -91,48 +91,8 @@ def check_sampling(recording: Recording, stamp_jitter: float = 0.0) -> list[Find
             f"number of rows is {len(steps) + 1}, identification needs at least {MIN_ROWS}: delete the file"
         )
         return [Finding("fault", recording.name, "time_s", message)]
-    findings = []
-    period, usual = float(np.median(steps)), usual_step(recording.time_s)
-    gaps = missing_rows(recording.time_s) > 0
-    late = steps > GAP_PERIODS * period
-    if late.any() and _late_stamps(recording.time_s, late):
-        rate = len(steps) / float(np.sum(steps))
-        message = (
-            "sampling is irregular: times are late by half a period or more, but no row is missing. "
-            "If the samples were taken at a fixed rate, "
-            f"state it: hframe import FILE --map time_s={rate:.4g}Hz --out RUNS"
-        )
-        findings.append(Finding("advice", recording.name, "time_s", message))
-        gaps[:] = True  # nothing more is said of the steps
-    elif gaps.any():
-        lost = float(np.sum(steps[gaps]) - np.sum(gaps) * usual)  # s
-        duration = f"{lost:.3g} s" if lost >= 1.0 else f"{1e3 * lost:.3g} ms"
-        count = int(gaps.sum())
-        number = f"{count} gaps" if count > 1 else "1 gap"
-        message = (
-            f"{number} ({duration} in total, {100 * lost / np.sum(steps):.2g} %): samples were dropped or "
-            "taken late; identification estimates the inputs in gaps of up to 20 rows from the motion"
-        )
-        findings.append(Finding("advice", recording.name, "time_s", message))
-    if np.sum(steps) < _SHORT_RUN:
-        message = f"is only {1e3 * np.sum(steps):.3g} ms long: are its times in another unit?"
-        findings.append(Finding("advice", recording.name, "time_s", message))
-    if np.sum(steps) > _LONG_RUN:
-        message = (
-            f"is {np.sum(steps):.4g} s long, which makes a fit slow: cut it by hframe import --split-at-rests"
-        )
-        findings.append(Finding("advice", recording.name, "", message))
-    jitter = float(np.std(steps[~gaps])) if not gaps.all() else 0.0
-    if usual > period:
-        message = (
-            f"rows are written as values arrive, at irregular times up to {1e3 * usual:.3g} ms apart: "
-            "inputs hold until the next row. If they change in between, log at a fixed rate"
-        )
-        findings.append(Finding("advice", recording.name, "time_s", message))
-    elif jitter > _JITTER * period:
-        severity: Severity = "advice" if jitter > _IRREGULAR * period else "note"
-        message = f"sampling is irregular, {1e3 * period:.4g} ms with a jitter of {1e3 * jitter:.2g} ms"
-        findings.append(Finding(severity, recording.name, "time_s", message))
+    period = float(np.median(steps))
+    findings = _lost_samples(recording) + _duration(recording) + _uneven_steps(recording)
     if stamp_jitter:
         message = (
             f"the stamps jitter by {1e3 * stamp_jitter:.2g} ms, but the motion was sampled in equal steps of "
@@ -140,6 +100,69 @@ def check_sampling(recording: Recording, stamp_jitter: float = 0.0) -> list[Find
         )
         findings.append(Finding("note", recording.name, "time_s", message))
     return findings
+
+
+def _lost_samples(recording: Recording) -> list[Finding]:
+    """Report, as advice, rows that are missing, or times that are late although no row is missing."""
+    steps, gaps = np.diff(recording.time_s), missing_rows(recording.time_s) > 0
+    if _has_late_stamps(recording):
+        rate = len(steps) / float(np.sum(steps))
+        message = (
+            "sampling is irregular: times are late by half a period or more, but no row is missing. "
+            "If the samples were taken at a fixed rate, "
+            f"state it: hframe import FILE --map time_s={rate:.4g}Hz --out RUNS"
+        )
+    elif gaps.any():
+        lost = float(np.sum(steps[gaps]) - np.sum(gaps) * usual_step(recording.time_s))  # s
+        duration = f"{lost:.3g} s" if lost >= 1.0 else f"{1e3 * lost:.3g} ms"
+        count = int(gaps.sum())
+        number = f"{count} gaps" if count > 1 else "1 gap"
+        message = (
+            f"{number} ({duration} in total, {100 * lost / np.sum(steps):.2g} %): samples were dropped or "
+            "taken late; identification estimates the inputs in gaps of up to 20 rows from the motion"
+        )
+    else:
+        return []
+    return [Finding("advice", recording.name, "time_s", message)]
+
+
+def _duration(recording: Recording) -> list[Finding]:
+    """Report, as advice, a run that is too short for a motion, or so long that a fit is slow."""
+    seconds = float(recording.time_s[-1] - recording.time_s[0])
+    if seconds < _SHORT_RUN:
+        message = f"is only {1e3 * seconds:.3g} ms long: are its times in another unit?"
+        return [Finding("advice", recording.name, "time_s", message)]
+    if seconds > _LONG_RUN:
+        message = f"is {seconds:.4g} s long, which makes a fit slow: cut it by hframe import --split-at-rests"
+        return [Finding("advice", recording.name, "", message)]
+    return []
+
+
+def _uneven_steps(recording: Recording) -> list[Finding]:
+    """Report rows that are written as values arrive (advice), and steps that differ (advice or a note)."""
+    steps, gaps = np.diff(recording.time_s), missing_rows(recording.time_s) > 0
+    period, usual = float(np.median(steps)), usual_step(recording.time_s)
+    if usual > period:
+        message = (
+            f"rows are written as values arrive, at irregular times up to {1e3 * usual:.3g} ms apart: "
+            "inputs hold until the next row. If they change in between, log at a fixed rate"
+        )
+        return [Finding("advice", recording.name, "time_s", message)]
+    if gaps.all() or _has_late_stamps(recording):  # these are reported, and nothing more is said of the steps
+        return []
+    jitter = float(np.std(steps[~gaps]))
+    if jitter <= _JITTER * period:
+        return []
+    severity: Severity = "advice" if jitter > _IRREGULAR * period else "note"
+    message = f"sampling is irregular, {1e3 * period:.4g} ms with a jitter of {1e3 * jitter:.2g} ms"
+    return [Finding(severity, recording.name, "time_s", message)]
+
+
+def _has_late_stamps(recording: Recording) -> bool:
+    """Return whether times are late by half a period or more, although no row is missing."""
+    steps = np.diff(recording.time_s)
+    late = steps > GAP_PERIODS * float(np.median(steps))
+    return bool(late.any()) and _late_stamps(recording.time_s, late)
 
 
 def _late_stamps(time_s: Array, gaps: NDArray[np.bool_]) -> bool:

@@ -191,7 +191,7 @@ def test_new_asks_on_a_terminal(tmp_path: Path) -> None:
         "old.json: exists already",
         "rig.txt: must end in .json",
         " 600: is it in millimeters? Give it in m",
-        "curent: choose one of voltage, duty-cycle, current, torque, position, speed; "
+        "curent: choose one of voltage, duty-cycle, current, torque, position, speed, stepper; "
         "did you mean 'current'?",
         "speed@y: speed is measured at a coordinate, and 'y' is none; choose one of x",
     ):

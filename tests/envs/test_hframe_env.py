@@ -171,7 +171,7 @@ def test_an_action_that_is_not_finite_is_refused(value):
     env = HFrameEnv()
     env.reset(seed=0)
     before = env.batch.simulator.state.copy()
-    with pytest.raises(ValueError, match=r"^action of motor2: .* is not finite"):
+    with pytest.raises(ValueError, match=r"^action of motor2: .* is not finite; give numbers from -1 to 1"):
         env.step(np.array([0.0, value]))
     np.testing.assert_array_equal(env.batch.simulator.state, before)
 

@@ -167,7 +167,10 @@ def check_actions(
     if not _all_finite(values):
         b, k = np.argwhere(~np.isfinite(values))[0].tolist()
         of = "" if single else f"environment {b}, "
-        raise ValueError(f"action of {of}{machine.drives[k].name}: {values[b, k]} is not finite")
+        raise ValueError(
+            f"action of {of}{machine.drives[k].name}: {values[b, k]} is not finite; give numbers from -1 to "
+            "1. If a policy returned it, its training has diverged"
+        )
     return values
 
 

@@ -14,7 +14,7 @@ from ...errors import InputError, suggestion
 from ...machine import DRIVE_KINDS, Drive, Machine, rest_positions_per_axis
 from .options import MachineOptions
 
-# Beginning of the columns of commands, by the kinds of drives that a DC motor may have; they end in the unit.
+# Beginning of the columns of commands, by the kinds of drives that a motor may have; they end in the unit.
 COMMANDS = {
     "voltage": "v",
     "duty-cycle": "duty",
@@ -22,11 +22,15 @@ COMMANDS = {
     "torque": "torque",
     "position": "command",
     "speed": "command",
+    "stepper": "command",
 }
+# The kinds that a drive of a template that follows a position may have instead.
+FOLLOWING = ("position", "stepper")
 # Loop of a drive that follows a set point. Its speed follows with 100 1/s (16 Hz), below the belt modes of
 # small stages; the other corner frequencies are a quarter and a fifth of it, as is usual (Ellis 2012, Control
 # System Design Guide).
 _SPEED_BANDWIDTH, _INTEGRAL_RATE, _POSITION_GAIN = 100.0, 25.0, 20.0  # 1/s
+_DAMPING = 0.1  # of the critical one: the vibration of a stepper motor with its load, without a damper
 # What a DC motor has at rest at its rated voltage: A, Nm.
 _AT_REST: dict[str, Callable[[Drive], float]] = {
     "current": lambda drive: drive.rated_voltage / drive.resistance,
@@ -77,9 +81,16 @@ def with_command(machine: Machine, drive: Drive, kind: str | None, inertia: floa
             f"--drive {kind}: choose one of {', '.join(COMMANDS)}{suggestion(kind, COMMANDS)}; "
             "docs/machine.md describes all kinds"
         )
+    if drive.law is not None and kind not in FOLLOWING:
+        raise InputError(
+            f"--drive {kind}: the motors of this template follow a position; choose one of "
+            f"{', '.join(FOLLOWING)}, or a template with DC motors, such as corexy"
+        )
     of_kind = DRIVE_KINDS.get(kind)
     unit = "" if of_kind.fraction else of_kind.unit(machine.coordinate(drive.coordinate).kind)
     channel = f"{COMMANDS[kind]}{drive.name.removeprefix('motor')}{'_' * bool(unit)}{unit.replace('/', '_')}"
+    if kind == "stepper":
+        return _stepper(drive, channel)
     if of_kind.law is not None:
         return _set_point_drive(drive, kind, channel, inertia)
     drive = dataclasses.replace(drive, kind=kind, channel=channel)
@@ -110,6 +121,35 @@ def _set_point_drive(drive: Drive, kind: str, channel: str, inertia: float) -> D
         law_parameters={name: float(f"{value:.4g}") for name, value in values.items()},
         **fixed,
     )
+
+
+def _stepper(drive: Drive, channel: str) -> Drive:
+    """Return a stepper motor with the largest torque of a drive."""
+    largest = drive.law_parameters["torque_limit"] if drive.law is not None else _AT_REST["torque"](drive)
+    return dataclasses.replace(
+        drive,
+        kind="stepper",
+        channel=channel,
+        voltage_range=None,
+        law_parameters={"holding_torque": float(f"{largest:.4g}")},
+        **dict[str, Any](DRIVE_KINDS.get("stepper").fixed),
+    )
+
+
+def with_stepper_damping(machine: Machine, inertias: Array) -> Machine:
+    """Return a machine whose stepper motors have the usual damping, as friction of their coordinates.
+
+    Args:
+        inertias: What each motor shaft moves while other drives hold, kg m^2, shape (drives,).
+    """
+    for drive, inertia in zip(machine.drives, inertias, strict=True):
+        if drive.kind == "stepper":
+            law = {**DRIVE_KINDS.get("stepper").defaults, **drive.law_parameters}
+            critical = 2.0 * math.sqrt(law["periods"] * law["holding_torque"] * inertia)  # Nms
+            moved = machine.coordinate(drive.coordinate)
+            viscous = moved.viscous + drive.gear_ratio**2 * _DAMPING * critical
+            machine = machine.with_components(dataclasses.replace(moved, viscous=float(f"{viscous:.3g}")))
+    return machine
 
 
 def reaching_workspace(machine: Machine, drive: Drive) -> Drive:

@@ -8,7 +8,13 @@ from collections.abc import Mapping
 
 from ...errors import InputError, suggestion
 from ...machine import BUILTIN_MACHINES, Machine
-from .drives import reaching_workspace, shaft_inertias, with_command, with_motor_values
+from .drives import (
+    reaching_workspace,
+    shaft_inertias,
+    with_command,
+    with_motor_values,
+    with_stepper_damping,
+)
 from .options import MachineOptions
 from .questions import check_options
 from .sensors import further_sensor, sensors_of
@@ -47,6 +53,7 @@ def new_machine(like: str, name: str, options: MachineOptions) -> Machine:
             for drive, inertia in zip(machine.drives, inertias, strict=True)
         )
     )
+    machine = with_stepper_damping(machine, inertias)
     machine = machine.replace(drives=tuple(reaching_workspace(machine, d) for d in machine.drives))
     for text in options.sensor:
         machine = machine.replace(sensors=(*machine.sensors, further_sensor(machine, text)))

@@ -30,8 +30,9 @@ class MachineOptions:
         encoder_lines: Lines of the encoders on the motor shafts, read in quadrature; 0 for no encoders.
         linear_sensor: Whether sensors measure x and y (an axis: x).
         drive: What is commanded, for templates with DC motors: "voltage", "duty-cycle", "current", "torque",
-            "position" or "speed". The largest current or torque is that of the motor at rest at its rated
-            voltage, the largest speed the one without load; the gains of a loop are typical ones.
+            "position", "speed" or "stepper"; for a printer "position" or "stepper". The largest current,
+            torque or holding torque is that of the motor at rest at its rated voltage, the largest speed the
+            one without load; the gains of a loop and the damping of a stepper are typical ones.
         sensor: Further sensors, "KIND@PART" each: a kind of sensor, and the coordinate that it measures; for
             a current the drive, for a belt force the belt. Their noise and resolution are 0 unless `values`
             has them.

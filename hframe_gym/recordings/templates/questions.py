@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from ...errors import InputError
 from ...machine import BUILTIN_MACHINES, RADIANS, Machine
-from .drives import COMMANDS
+from .drives import COMMANDS, FOLLOWING
 from .options import MachineOptions
 from .sensors import QUADRATURE, further_sensors
 
@@ -80,6 +80,8 @@ def template_questions(like: str) -> tuple[TemplateQuestion, ...]:
     )
     if follows:
         if not turning:
+            kinds = {kind: kind for kind in FOLLOWING}
+            questions.append(TemplateQuestion("drive", "Command of the motors", drive.kind, kinds))
             ask("linear_sensor", _MEASURED.format(" and ".join(machine.tool_axes)), True)
         return (*questions, further)
     ask("Kt", "Torque constant of the motors, Nm/A", drive.Kt)

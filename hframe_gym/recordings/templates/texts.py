@@ -144,6 +144,13 @@ DRIVE_COMMENTS = {  # by kind
         "speed_gain = 50 * holding torque. Optional: integral_rate. rated_position: largest command of "
         "the environment. `hframe identify` estimates the gains."
     ),
+    "stepper": (
+        "A stepper motor; channel is the column of the angle to which its steps lead. Torque of the motor "
+        "shaft: holding_torque * sin(periods * gear_ratio * (command - position)), with the holding torque "
+        "at the current of the driver. Optional: periods, full steps per turn / 4 (50). Its damping belongs "
+        "to viscous of its coordinate. rated_position: largest command of the environment, which needs a "
+        "period of about 1 ms."
+    ),
     "speed": (
         "A drive that follows a commanded speed; channel is its column in the recordings. Torque of the "
         "motor shaft: speed_gain * (command - speed + integral_rate * its integral), at most torque_limit. "

@@ -66,6 +66,23 @@ def test_a_motor_with_another_command_keeps_its_largest_force(
     assert motion_limits(machine)["x"].force == pytest.approx(motion_limits(voltage)["x"].force)
 
 
+@pytest.mark.parametrize(("like", "torque"), [("printer", 0.48), ("corexy", 0.48), ("axis", 0.6)])
+def test_steppers_take_the_place_of_other_motors_and_vibrate_less_than_without_damping(
+    like: str, torque: float, tmp_path: Path
+) -> None:
+    write_machine_template(like, new_machine(like, "m", MachineOptions(drive="stepper")), tmp_path / "m.json")
+    machine = load_machine(tmp_path / "m.json")
+    drive = machine.drives[0]
+    assert (drive.kind, drive.law_parameters["holding_torque"]) == ("stepper", torque)
+    assert drive.channel.startswith("command")
+    before = load_machine(like).coordinate(drive.coordinate).viscous
+    assert machine.coordinate(drive.coordinate).viscous > 1.5 * before
+    time_s = np.arange(400) * 1e-3
+    command = np.minimum(time_s, 0.2)[:, None] * np.full(len(machine.drives), 0.1 / drive.gear_ratio)
+    motion = simulate(machine, time_s, command).outputs
+    assert np.ptp(motion[-50:], axis=0).max() < 0.05 * np.ptp(motion, axis=0).max()
+
+
 FURTHER_SENSORS = [  # template, option, channel, unit
     ("corexy", "speed@x", "x_m_s", "m/s"),
     ("corexy", "unsigned-speed@phi1", "phi1_rad_s", "rad/s"),
@@ -304,6 +321,11 @@ def test_a_preset_reaches_its_goals_with_the_controller_for_its_drives(name: str
         ("corexy", {"encoder_lines": 0, "linear_sensor": False}, "no sensor is left"),
         ("corexy", {"drive": "curent"}, "did you mean 'current'?"),
         ("servo", {"drive": "current"}, "--drive: servo has none"),
+        (
+            "printer",
+            {"drive": "current"},
+            "follow a position; choose one of position, stepper, or a template",
+        ),
         ("axis", {"sensor": ("speed",)}, "--sensor speed: write KIND@PART, for example speed@x"),
         (
             "axis",
