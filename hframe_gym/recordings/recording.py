@@ -104,8 +104,8 @@ def load_recordings(
         others = f"; logs of other formats become runs with {convert}"
         advice = others if any(path.iterdir()) else "; it is empty"
         raise InputError(f"{path}: no recordings ({', '.join(SUFFIXES)}) in this folder{advice}")
-    if others := _possible_runs(path, files):
-        log(f"{path}: not read, because recordings end in {', '.join(SUFFIXES)}: {', '.join(others)}")
+    if unread := _possible_runs(path, files):
+        log(f"{path}: not read, because recordings end in {', '.join(SUFFIXES)}: {', '.join(unread)}")
     for first, second in pairwise(sorted(files, key=run_name)):
         if run_name(first) == run_name(second):
             raise InputError(
