@@ -71,6 +71,9 @@ def _can_be_measurement(
     machine: Machine, channel: str, column: Meaning, unit: str | None, scaled: bool
 ) -> bool:
     """Return whether a column of another quantity can be what a sensor measures."""
+    is_position = channel_dimension(machine, channel) in _MOTIONS
+    if column.evidence == "name" and not is_position and unit in accepted_units(machine, channel):
+        return True
     if column.family == "row number":  # counts of an encoder, which are also called ticks
         return scaled
     if column.family == "speed":
@@ -154,15 +157,15 @@ def _advice(machine: Machine, channel: str, column: Meaning) -> str:
         return advice
     dimension = channel_dimension(machine, channel)
     if dimension not in _MOTIONS:
-        advice = (
-            f"map a measured {dimension}, or state the factor to {SI_UNITS[dimension]} "
-            f"by --scale {channel}=FACTOR"
-        )
-        if family == "current" and column.evidence == "name":
+        advice = f"map a measured {dimension}"
+        if column.evidence == "name":
+            units = ", ".join(accepted_units(machine, channel))
             return (
-                f"{advice}, or its unit by --unit {channel}=UNIT if it is "
-                f"a present {dimension} and no current"
+                f"{advice}, or state the unit by --unit {channel}=UNIT ({units}) if the column is "
+                f"the {dimension} in spite of its name"
             )
+        if column.unit in _ANALOG_UNITS:
+            return f"{advice}, or state the factor to {SI_UNITS[dimension]} by --scale {channel}=FACTOR"
         return advice
     if family == "position":
         units = ", ".join(accepted_units(machine, channel))

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from hframe_gym.errors import InputError
-from hframe_gym.machine import BUILTIN_MACHINES
+from hframe_gym.machine import BUILTIN_MACHINES, Sensor
 from hframe_gym.recordings.logs import MappingOptions, open_logs, propose_columns
 from hframe_gym.recordings.logs.log_mapping import map_columns
 from hframe_gym.recordings.logs.measurement_units import wrong_unit_message
@@ -58,3 +58,17 @@ def test_a_duty_cycle_in_bits_is_refused_with_its_factor(unit: str, factor: str)
     motor = BUILTIN_MACHINES["motor"]()
     machine = motor.replace(drives=(dataclasses.replace(motor.drives[0], kind="duty-cycle", channel="duty"),))
     assert f"(FACTOR is {factor} the full duty cycle)" in wrong_unit_message(machine, "duty", unit)
+
+
+def test_a_speed_under_the_name_of_a_position_is_read_as_its_message_says(tmp_path: Path) -> None:
+    motor = BUILTIN_MACHINES["motor"]()
+    tachometer = Sensor("shaft_rad_s", {"shaft": 1.0}, noise=0.1, kind="speed")
+    rows = "\n".join(f"{k * 1e-3:g},{k % 3},{k % 7}" for k in range(40))
+    (tmp_path / "log.csv").write_text(f"t,v_V,Position.values\n{rows}\n")
+    (log,) = open_logs(tmp_path / "log.csv")
+    columns = {"shaft_rad_s": "Position.values"}
+    with pytest.raises(InputError, match="--unit shaft_rad_s=UNIT .*in spite of its name"):
+        map_columns(log, motor.replace(sensors=(tachometer,)), MappingOptions(columns))
+    map_columns(
+        log, motor.replace(sensors=(tachometer,)), MappingOptions(columns, units={"shaft_rad_s": "rad/s"})
+    )

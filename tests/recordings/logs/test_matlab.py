@@ -124,7 +124,9 @@ def test_each_experiment_of_iddata_is_a_log(tmp_path: Path) -> None:
 
 
 def test_iddata_beside_other_vectors_is_a_part_of_their_log(tmp_path: Path) -> None:
-    stored = _iddata([POSITION], [[]], ["Exp1"]) | {"SamplingInstants": _cell([TIME**1.1])}
+    """Objects of older versions of the toolbox may have an empty unit of time."""
+    times = {"SamplingInstants": _cell([TIME**1.1]), "TimeUnit": np.zeros((0, 0))}
+    stored = _iddata([POSITION], [[]], ["Exp1"]) | times
     io.savemat(tmp_path / "log.mat", {"U": TIME, "data": stored})
     (log,) = open_logs(tmp_path / "log.mat")
     headers = [column.header for column in log.columns]

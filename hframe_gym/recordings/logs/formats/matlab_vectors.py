@@ -89,7 +89,7 @@ def experiments(name: str, value: Any) -> Iterator[tuple[str, list[tuple[str, ND
     outputs, inputs = _experiment_list(value["OutputData"]), _experiment_list(value["InputData"])
     names = _texts(value.get("ExperimentName"))
     for number, output in enumerate(outputs):
-        time_unit = str(value.get("TimeUnit") or "seconds")
+        time_unit = _member(_texts(value.get("TimeUnit", "")), 0)
         columns = [(f"time [{_TIME_UNITS.get(time_unit, 's')}]", _sample_times(value, number, len(output)))]
         for kind, signals in (("Input", inputs[number : number + 1]), ("Output", [output])):
             labels, units = _texts(value[f"{kind}Name"]), _texts(value.get(f"{kind}Unit"))
