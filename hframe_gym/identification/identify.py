@@ -87,7 +87,7 @@ def identify(
     budget = _budget(budget, recordings, log)
 
     # Prepare: which runs are fitted, and what of them can be used.
-    held_names = divide_runs(recordings, held_out)
+    held_names = divide_runs(recordings, held_out, machine)
     session = prepare_session(recordings, machine, criteria, log)
     machine = session.machine
     all_runs, statements = _without_silent_runs(session, held_names, log)

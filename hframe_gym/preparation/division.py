@@ -6,11 +6,14 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import InputError, name_runs, suggestion
+from ..machine import Machine
 from ..recordings import Recording, peak_to_peak
 from .dataset import MIN_ROWS
+from .run_accelerations import acceleration_fractions
 from .sensor_noise import difference_noise
 
 _GROUP_SIZE = 4  # One of four runs is held out.
@@ -22,12 +25,16 @@ _NORMAL_SPAN = 4.65  # standard deviations of noise between its 1st and 99th per
 _MOVES = 0.01  # fraction of a sensor's largest span in all runs; with less, the error of a run says nothing
 _COVERED = 0.5  # fraction of a run's rows in its parts; with more, the parts are used and not the run
 _NO_NOISE = 0.5  # fraction of a span that noise does not explain
+_MOST = 0.5  # fraction of all squared acceleration; with more, a run tells more of inertia than all others
 
 
-def divide_runs(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tuple[str, ...]:
+def divide_runs(
+    recordings: Sequence[Recording], chosen: Sequence[str] = (), machine: Machine | None = None
+) -> tuple[str, ...]:
     """Check that the runs of a session can be fitted, and choose those that are held out.
 
     Args:
+        machine: Machine that was recorded, whose sensors show accelerations. Default: these are not compared.
         chosen: Names of the runs to hold out. Default: one of each group of four similar runs, see
             `hold_out`.
 
@@ -39,7 +46,7 @@ def divide_runs(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> 
             fitted ones.
     """
     _require_rows(recordings)
-    held_out = hold_out(recordings, chosen)
+    held_out = hold_out(recordings, chosen, machine)
     _require_motion([recording for recording in recordings if recording.name not in held_out])
     return held_out
 
@@ -124,7 +131,9 @@ def _require_motion(fitted: Sequence[Recording]) -> None:
         )
 
 
-def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tuple[str, ...]:
+def hold_out(
+    recordings: Sequence[Recording], chosen: Sequence[str] = (), machine: Machine | None = None
+) -> tuple[str, ...]:
     """Choose the runs that are held out: excluded from the fit and used to evaluate it.
 
     By default, the runs are divided into groups of four with similar voltages (see `spectral_differences`),
@@ -145,6 +154,7 @@ def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tup
     Args:
         chosen: Names of the runs to hold out. Default: one of each group of four; one if there are fewer than
             four.
+        machine: Machine that was recorded, whose sensors show accelerations. Default: these are not compared.
 
     Returns:
         Names of the held-out runs.
@@ -167,8 +177,11 @@ def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tup
             f"nothing moves except in run {eligible[0].name}; a run that moves must be fitted and another "
             "one held out, so record more runs or split this one: hframe import FILE --split-every SECONDS"
         )
+    needed = np.zeros(len(eligible), np.bool_)
+    if machine is not None and len(eligible) > 2:  # of two runs, one always has half
+        needed = acceleration_fractions(eligible, machine) > _MOST
     held_out = tuple(chosen) or tuple(
-        eligible[i].name for i in _representative_runs(spectral_differences(eligible))
+        eligible[i].name for i in _representative_runs(spectral_differences(eligible), needed)
     )
     if not set(held_out) & {run.name for run in eligible}:
         raise InputError(
@@ -183,18 +196,23 @@ def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tup
     return held_out
 
 
-def _representative_runs(differences: Array) -> list[int]:
-    """Return the indices of runs to hold out, sorted, given how much the runs differ, shape (runs, runs)."""
+def _representative_runs(differences: Array, needed: NDArray[np.bool_]) -> list[int]:
+    """Return the indices of runs to hold out, sorted.
+
+    Args:
+        differences: How much the runs differ, dimensionless, shape (runs, runs).
+        needed: Whether each run is needed for the fit, shape (runs,).
+    """
     remaining = list(range(len(differences)))
     held_out: list[int] = []
 
-    def unsuitability(run: int) -> tuple[float, bool, int]:
-        """Return three properties of a candidate, the most important one first; small values are better."""
+    def unsuitability(run: int) -> tuple[bool, float, bool, int]:
+        """Return four properties of a candidate, the most important one first; small values are better."""
         candidates = [*held_out, run]
         to_fitted = np.delete(differences[candidates], candidates, axis=1).min(axis=1, initial=np.inf).sum()
         repeated = bool((differences[run, held_out] == 0.0).any())
         fourth = _GROUP_SIZE * len(candidates) - 1  # index of the fourth, eighth, ... of all runs
-        return float(to_fitted), repeated, abs(run - fourth)
+        return bool(needed[run]), float(to_fitted), repeated, abs(run - fourth)
 
     while remaining:
         # stable: equals in order of names

@@ -17,6 +17,7 @@ from hframe_gym.identification.fit.estimation import prediction_cost
 from hframe_gym.identification.forces.inverse_dynamics import force_error
 from hframe_gym.identification.predict.prediction import POLISH_STEP
 from hframe_gym.preparation.division import copied_runs, spectral_differences
+from hframe_gym.preparation.run_accelerations import acceleration_fractions
 from hframe_gym.recordings import Recording
 from tests.identification.scripted_fits import AXIS, DRAG, FRAME, PUSH, selected
 from tests.identification.single_axis import axis_runs
@@ -143,6 +144,23 @@ def test_noise_of_the_voltages_does_not_change_the_choice(seed: int) -> None:
         dataclasses.replace(r, inputs=r.inputs + rng.normal(0.0, 0.1, r.inputs.shape)) for r in recordings
     ]
     assert hold_out(noisy) == hold_out(recordings)
+
+
+def test_the_only_start_of_slow_runs_is_not_held_out() -> None:
+    """A constant voltage from rest resembles the end of a ramp, which shows no inertia, like noise."""
+    rng = np.random.default_rng(4)
+    time_s = np.arange(2000) * 1e-3
+    volts = {f"ramp_{k}": 4.6 + 0.1 * k + 0.02 * time_s for k in range(3)}
+    volts |= {"start": np.full(2000, 5.0), "ramp_3": 4.9 + 0.02 * time_s}
+    runs = []
+    for name, inputs in volts.items():
+        speed = inputs * (1.0 - np.exp(-20.0 * time_s) if name == "start" else 1.0)
+        outputs = np.cumsum(speed) * 1e-3 + rng.normal(0.0, 1e-3, 2000)
+        runs.append(Recording(name, time_s, inputs[:, None], outputs[:, None]))
+    assert hold_out(runs) == ("start",)
+    assert hold_out(runs, (), AXIS) != ("start",)
+    assert acceleration_fractions(runs, AXIS)[3] > 0.9
+    assert not acceleration_fractions(runs[:3], AXIS).any()
 
 
 def test_impossible_choices_of_held_out_runs_are_refused() -> None:
