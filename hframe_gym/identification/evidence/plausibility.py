@@ -99,7 +99,10 @@ def plausibility_fault(machine: Machine) -> str:
         Clause that follows "it", for example "makes the machine diverge under random rated voltage"; empty if
         there is no fault (`judge.effect.fault_of_machine`).
     """
-    return fault_of_machine(MachineBehavior(monotonic_belts(machine), lambda: top_speeds(machine)))
+    springs_pull_back = all(e.parameters["k"] >= 0.0 for e in machine.effects if e.name == "cable_spring")
+    return fault_of_machine(
+        MachineBehavior(monotonic_belts(machine), lambda: top_speeds(machine), springs_pull_back)
+    )
 
 
 def _monotonic(machine: Machine, belt: Belt, reach: float) -> bool:

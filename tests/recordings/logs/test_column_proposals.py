@@ -67,7 +67,7 @@ def test_a_speed_under_the_name_of_a_position_is_read_as_its_message_says(tmp_pa
     (tmp_path / "log.csv").write_text(f"t,v_V,Position.values\n{rows}\n")
     (log,) = open_logs(tmp_path / "log.csv")
     columns = {"shaft_rad_s": "Position.values"}
-    with pytest.raises(InputError, match="--unit shaft_rad_s=UNIT .*in spite of its name"):
+    with pytest.raises(InputError, match=r"--unit shaft_rad_s=UNIT .*in spite of its name"):
         map_columns(log, motor.replace(sensors=(tachometer,)), MappingOptions(columns))
     map_columns(
         log, motor.replace(sensors=(tachometer,)), MappingOptions(columns, units={"shaft_rad_s": "rad/s"})
