@@ -31,6 +31,7 @@ class LogColumn:
         rows: Number of rows; None if all columns of the file have the same number, or if `time` is known.
         time: Column of the sample times, if the format says which; it is one of the log's `times`.
         terms: Sign and column of each term, if this is no column of the file, but a sum of such columns.
+        constant: Constant that is added to such a sum, in the unit of its columns.
         file: Name of the file that has the column, if its log was joined with others; "" for a column of the
             log's own.
     """
@@ -42,6 +43,7 @@ class LogColumn:
     rows: int | None = None
     time: LogColumn | None = None
     terms: tuple[tuple[float, LogColumn], ...] = ()
+    constant: float = 0.0
     file: str = ""
 
     @property
@@ -115,7 +117,8 @@ class Log:
         arrays, remarks = self.reader([known.index(column) for column in needed], progress)
         values = dict(zip(needed, arrays, strict=True))
         for column in (column for column in columns if column.terms):
-            values[column] = np.sum([sign * values[term] for sign, term in column.terms], axis=0)
+            summed = np.sum([sign * values[term] for sign, term in column.terms], axis=0)
+            values[column] = summed + column.constant
         return [values[column] for column in columns], remarks
 
     def columns_called(self, reference: str) -> list[LogColumn]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -30,6 +31,8 @@ from .possible_maps import obstacle
 
 NOT_MEASURED = "none"  # given instead of a column: the output was not measured
 _EXAMPLE_RATE = "200Hz"  # in messages
+# A reference to columns to which a number is added, such as "pwm - 127.5".
+_NUMBER_ADDED = re.compile(r"(.*\S)\s*([+-])\s*(\d+\.?\d*)\s*")
 # Names of a column of sample times, in lower case, without blanks and punctuation; "xvalue" is that of
 # LabVIEW.
 _TIME_NAMES = ("time", "t", "timestamp", "zeit", "elapsedtime", "seconds", "sec", "xvalue", *TIME_HEADERS)
@@ -283,18 +286,28 @@ class _LogMapping:
                 raise InputError(f"{self.log.path}: {options}: {problem}{self._if_not_measured(channel)}")
 
     def _column_of_reference(self, channel: str, reference: str) -> LogColumn:
-        """Return the one column that a user's reference names, or the sum of the columns that it names."""
+        """Return the one column that a user's reference names, or the sum of columns and a number."""
         columns = self.log.columns_called(reference)
         if len(columns) == 1:
             return columns[0]
         if not columns and (terms := self.log.terms_called(reference)):
             return self._sum(channel, reference, terms)
+        if not columns and (number := _NUMBER_ADDED.fullmatch(reference)):
+            terms = self.log.terms_called(number[1])
+            if terms:
+                return self._sum(channel, reference, terms, float(number[2] + number[3]))
         problem = "several columns have this name" if columns else "there is no such column"
         problem += f"; the columns are {headers_text(self.log.columns)}{self._if_not_measured(channel)}"
         raise InputError(f"{self.log.path}: {_map_option(channel, reference)}: {problem}")
 
-    def _sum(self, channel: str, reference: str, terms: tuple[tuple[float, LogColumn], ...]) -> LogColumn:
-        """Return the sum of columns, which must have one unit and one time."""
+    def _sum(
+        self,
+        channel: str,
+        reference: str,
+        terms: tuple[tuple[float, LogColumn], ...],
+        constant: float = 0.0,
+    ) -> LogColumn:
+        """Return the sum of columns, which must have one unit and one time, and a constant in this unit."""
         first = terms[0][1]
         for _, other in terms:
             differences = {
@@ -314,7 +327,9 @@ class _LogMapping:
                 )
         header = "".join(f" {'-' if sign < 0.0 else '+'} {column.header}" for sign, column in terms)
         header = header.removeprefix(" + ").strip()
-        return LogColumn(header, header, first.unit, "number", first.rows, first.time, terms)
+        if constant:
+            header += f" {'-' if constant < 0.0 else '+'} {abs(constant):g}"
+        return LogColumn(header, header, first.unit, "number", first.rows, first.time, terms, constant)
 
     def _time_of(self, column: LogColumn, times: Sequence[LogColumn]) -> LogColumn:
         """Return a column's time: the stated one, that of equal length, or in a table the next left."""

@@ -70,3 +70,19 @@ def test_the_longest_name_of_a_column_counts(tmp_path: Path) -> None:
     (log,) = open_logs(write_log(tmp_path / "log.csv"))
     (sign, column), *others = log.terms_called("-x-ref-y-ref")
     assert (sign, column.name, [(s, c.name) for s, c in others]) == (-1.0, "x-ref", [(-1.0, "y-ref")])
+
+
+@pytest.mark.parametrize(
+    ("reference", "first"), [("pulse - 1500", 0.0), ("pulse+0.5", 1500.5), ("pulse - 7", 7.0)]
+)
+def test_a_number_is_added_in_the_unit_of_the_column(reference: str, first: float, tmp_path: Path) -> None:
+    """The pulses of a servo rest at 1.5 ms. A column whose header is the reference comes first."""
+    rows = "\n".join(f"{k * 1e-3:g},{1500 + k},{7 + k},{k}" for k in range(40))
+    (tmp_path / "log.csv").write_text(f"time,pulse,pulse - 7,x\n{rows}\n")
+    axis = BUILTIN_MACHINES["axis"]()
+    mapping = MappingOptions({"v_V": reference, "x_m": "x"}, scales={"v_V": 0.001, "x_m": 1e-3})
+    lines: list[str] = []
+    import_logs(tmp_path / "log.csv", tmp_path / "runs", axis, ImportSettings(mapping), lines.append)
+    (run,) = load_recordings(tmp_path / "runs", axis)
+    np.testing.assert_allclose(run.inputs[:, 0], 0.001 * (first + np.arange(40.0)))
+    assert any(line.split("  ")[1].startswith(reference[:5]) for line in lines if "v_V" in line)
