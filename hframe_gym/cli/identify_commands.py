@@ -218,6 +218,7 @@ def _write_rig(
     from ..identification.report.page import build_report
     from ..recordings import recording_files
 
+    log("writing the report and its figures")
     with output_batch(folder):
         comparisons = proposed_formulas(result, log)
         texts = list(map(str, group_findings(findings)))

@@ -15,7 +15,7 @@ EFFECT = Effect(
     source="Hooke",
     force=force,
     parameters=(
-        EffectParameter("k", "stiffness", -1e6, 1e6, scale=0.3, role="amplitude"),
+        EffectParameter("k", "stiffness", -1e6, 1e6, scale=0.3, role="amplitude", named_from=0.0),
         EffectParameter("q0", "position", -1e3, 1e3, scale=0.5, grid=(-0.5, 0.0, 0.5)),
     ),
 )

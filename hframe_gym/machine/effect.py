@@ -111,6 +111,8 @@ class EffectParameter:
             not fitted. "shape": any other.
         above: Name of another parameter of the effect, which is a lower bound of this one; empty if there is
             none.
+        named_from: Least value, SI, with which an identification names the effect. With less, the formula
+            describes something else: no cable is a spring of negative stiffness.
     """
 
     name: str
@@ -122,6 +124,7 @@ class EffectParameter:
     largest: float = math.inf
     role: Literal["amplitude", "phase", "period", "rate", "switch", "shape", "fixed"] = "shape"
     above: str = ""
+    named_from: float = -math.inf
 
     @property
     def amplitude(self) -> bool:

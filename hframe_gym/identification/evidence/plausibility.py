@@ -99,10 +99,13 @@ def plausibility_fault(machine: Machine) -> str:
         Clause that follows "it", for example "makes the machine diverge under random rated voltage"; empty if
         there is no fault (`judge.effect.fault_of_machine`).
     """
-    springs_pull_back = all(e.parameters["k"] >= 0.0 for e in machine.effects if e.name == "cable_spring")
-    return fault_of_machine(
-        MachineBehavior(monotonic_belts(machine), lambda: top_speeds(machine), springs_pull_back)
-    )
+    misnamed = [
+        effect.label
+        for effect in machine.effects
+        for parameter in effect.definition.parameters
+        if effect.parameters[parameter.name] < parameter.named_from
+    ]
+    return fault_of_machine(MachineBehavior(monotonic_belts(machine), lambda: top_speeds(machine), misnamed))
 
 
 def _monotonic(machine: Machine, belt: Belt, reach: float) -> bool:

@@ -157,12 +157,13 @@ class MachineBehavior:
             reaches.
         top_speeds: Function that returns the top speed under random rated voltage with the effects, infinite
             if the machine diverges, and without them, m/s.
-        springs_pull_back: Whether no spring pushes away from its free position.
+        misnamed: Effects (name@site) with a parameter below the least value of what their name says
+            (`EffectParameter.named_from`).
     """
 
     tension_rises: bool
     top_speeds: Callable[[], tuple[float, float]]
-    springs_pull_back: bool = True
+    misnamed: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
@@ -392,8 +393,8 @@ def fault_of_machine(behavior: MachineBehavior) -> str:
     """
     if not behavior.tension_rises:
         return "lets the tension of a belt fall with its extension within the reach of the rated voltage"
-    if not behavior.springs_pull_back:
-        return "is a spring that pushes away from its free position, as no cable or hose does"
+    if behavior.misnamed:
+        return f"has a sign with which {behavior.misnamed[0]} is not what its name says"
     with_effects, without = behavior.top_speeds()
     if not (math.isfinite(with_effects) and with_effects <= LARGEST_SPEED_RATIO * without):
         return "makes the machine diverge under random rated voltage"

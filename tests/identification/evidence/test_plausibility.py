@@ -71,7 +71,9 @@ def test_speeds_count_while_the_machine_without_the_effect_stays_in_its_workspac
     assert speeds_inside(hframe, speeds, positions, reference) == (np.inf, 1.0)
 
 
-@pytest.mark.parametrize(("stiffness", "fault"), [(2.0, ""), (-2.0, "pushes away from its free position")])
+@pytest.mark.parametrize(
+    ("stiffness", "fault"), [(2.0, ""), (-2.0, "cable_spring@x is not what its name says")]
+)
 def test_a_spring_to_the_frame_pulls_back(stiffness: float, fault: str) -> None:
     """Under random voltage, a weak one that pushes does not diverge."""
     spring = EFFECTS["cable_spring"].at("x", k=stiffness, q0=0.01)

@@ -330,8 +330,8 @@ def test_a_machine_must_stay_physical(rises: bool, speeds: tuple[float, float], 
 
 def test_a_spring_must_pull_back() -> None:
     """A controller that adds a voltage in the direction of its command feigns one that pushes away."""
-    behavior = MachineBehavior(True, lambda: (1.0, 1.0), springs_pull_back=False)
-    assert "pushes away from its free position" in judge.fault_of_machine(behavior)
+    behavior = MachineBehavior(True, lambda: (1.0, 1.0), misnamed=["cable_spring@x"])
+    assert "cable_spring@x is not what its name says" in judge.fault_of_machine(behavior)
 
 
 @pytest.mark.parametrize(
