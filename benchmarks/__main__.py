@@ -26,7 +26,7 @@ IN_RESULTS = (
     "env_bits",
     "env_soak",
     "identification examples all",
-    "random_rigs --seed 20271158 --count 30",
+    "random_rigs --seed 20271160 --count 30",
     "random_rigs --closed-loop --seed 20271159 --count 60",
     "public_axes",
     "closed_loop_rigs",
