@@ -40,7 +40,7 @@ def draw(contents: dict[str, dict[str, Any]]) -> Path:
     """
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(1, 2, figsize=(9.0, 3.6))
+    figure, axes = plt.subplots(1, 2, figsize=(9.0, 3.8), layout="constrained")
     files = by_entry(contents)
     scores = {name: [plant_scores(content) for content in of_seeds] for name, of_seeds in files.items()}
     shown = [name for name in COLORS if name in files and f"{name}-corrected" in files]
@@ -72,10 +72,9 @@ def draw(contents: dict[str, dict[str, Any]]) -> Path:
         axis.set_xticks(range(len(steps)), steps)
         axis.grid(axis="y", linewidth=0.4)
         axis.spines[["top", "right"]].set_visible(False)
-    axes[0].legend(frameon=False)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False)
     axes[0].set_title(f"{len(plants)} plants: moves", fontsize=10)
     axes[1].set_title(f"{len(plants)} plants: circle", fontsize=10)
-    figure.tight_layout()
     path = FIGURES / "gap.png"
     save_figure(figure, path)
     return path
