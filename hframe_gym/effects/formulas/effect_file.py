@@ -23,15 +23,18 @@ from ..smooth_table import HOOK_OF_KIND
 from .regression import Formula
 from .terms import ShapeRole
 
-_LETTERS = "ABC"  # Names of the amplitudes of the first, second and third term.
-# Arguments of an effect's functions by the variable of the site that they hold; "u" holds any other variable.
+_LETTERS = "ABC"  # First letters of the amplitudes (factors) of the first, second and third term.
+# Name of the formula's argument, by the kind of the variable. Other variables, and variables of another
+# coordinate than the one on which the effect acts, are called u.
 _ARGUMENT = {"position": "q", "velocity": "v", "time": "t"}
-_WIDTH_FACTORS = (0.5, 1.0, 2.0)  # Times the identified width: values at which a search starts.
-_CENTERS = 4  # Values over the range of the variable at which a search starts, besides the identified one.
-_LARGE = 1e6  # SI; bound of parameters without a natural one.
-# Scale of an amplitude whose unit has a typical value on a machine, in multiples of that value.
+# A search on another machine starts at these multiples of the identified width or period,
+_WIDTH_FACTORS = (0.5, 1.0, 2.0)
+_CENTERS = 4  # and at so many centers over the range of the variable, besides the identified center.
+_LARGE = 1e6  # SI; bound of parameters that physics does not limit.
+# Typical size of an amplitude that is a force, a stiffness or a drag, in multiples of its typical value on a
+# machine.
 _TYPICAL_SCALE = 0.3
-_LINE = 120  # Largest length of a line of code.
+_LINE = 120  # Largest length of a line that declares a parameter; longer ones are divided.
 # Functions of `elementwise` that a formula may use; the file imports those that it does.
 _FUNCTIONS = ("absolute", "cos", "exp", "maximum", "sin", "sqrt")
 _REGISTRATION = """
@@ -67,7 +70,10 @@ class FormulaEffect:
 
     @property
     def text(self) -> str:
-        """Equation of the force f or the Coulomb friction F - Fc, e.g. "f = A * catch(q, center, width)"."""
+        """Equation of a force, "f = A * catch(q, center, width)", or of a Coulomb friction, "F - Fc = ...".
+
+        Fc is the Coulomb friction without the effect, F that with it.
+        """
         left = "f" if self._hook == "force" else "F - Fc"
         return f"{left} = {self._expression}"
 
@@ -97,28 +103,28 @@ class FormulaEffect:
 
     @property
     def _hook(self) -> str:
-        """Function of an effect that the formula replaces: "force" or "coulomb", the Coulomb friction."""
+        """Name of the effect's function with the formula: "force", or "coulomb" for a friction level."""
         return HOOK_OF_KIND[self.table.name.partition("[")[0]]
 
     @property
     def _variable(self) -> tuple[str, str]:
-        """Kind of the variable and its coordinate, empty for the time."""
+        """Kind and coordinate of the table's variable, such as ("velocity", "x"); ("time", "")."""
         variable, _, coordinate = self.table.definition.against.partition(" of ")
         return variable, coordinate
 
     @property
     def _argument(self) -> str:
-        """Argument of the formula: q, v or t at the coordinate itself, u for any other variable."""
+        """Name of the formula's argument: q or v of the coordinate on which it acts, t, or u."""
         variable, coordinate = self._variable
         return _ARGUMENT.get(variable, "u") if coordinate in ("", self.table.site) else "u"
 
     @property
     def _kind(self) -> CoordinateKind:
-        """Kind of the site's coordinate, "linear" or "rotary"."""
+        """Kind of the coordinate on which the effect acts, "linear" or "rotary"."""
         return self.machine.coordinate(self.table.site).kind
 
     def _names(self) -> Iterator[tuple[list[str], dict[str, str]]]:
-        """Yield the names of the amplitudes, and of the shapes by role, of each term."""
+        """Yield, for each term, the names of its amplitudes, and those of its shape parameters by role."""
         for index, term in enumerate(self.formula.terms):
             letter, suffix = _LETTERS[index], "" if index == 0 else str(index + 1)
             count = len(term.columns)
@@ -175,7 +181,11 @@ class FormulaEffect:
         return EffectParameter(name, unit, lower, _LARGE, scale, tuple(map(_rounded, grid)))
 
     def _variable_unit(self) -> tuple[str, str]:
-        """Return the variable's unit and, if it is also the site's unit, "position" or "speed", else ""."""
+        """Return the unit of the table's variable, and "position" or "speed".
+
+        The second word is empty for the time, and where the variable is an angle but the effect acts along a
+        length, or the other way round.
+        """
         variable, coordinate = self._variable
         if variable == "time":
             return "s", ""
@@ -185,16 +195,17 @@ class FormulaEffect:
         return (f"{unit}/s" if key == "speed" else unit), (key if kind == self._kind else "")
 
     def _shape_unit(self) -> str:
-        """Return the unit of a shape parameter, or its key in `machine.UNITS`.
+        """Return the unit of a shape parameter (center, width, period), or its key in `machine.UNITS`.
 
-        Starting values are relative to the typical value of the unit on the machine. The unit has none here,
-        so that they are absolute; "m" alone would be the extension of belts.
+        For most units, starting values are multiples of a typical value of the machine. "absolute position"
+        has no typical value, so that starting values are in m or rad; the unit "m" would stand for an
+        extension of belts, which has one.
         """
         unit, key = self._variable_unit()
         return "absolute position" if key == "position" else unit
 
     def _amplitude_unit(self, power: float) -> str:
-        """Return the unit of an amplitude times a power of the variable, or its key in `machine.UNITS`."""
+        """Return the unit of a factor A in A * variable**power, or its key in `machine.UNITS`."""
         unit, key = self._variable_unit()
         if power == 0:
             return "force"
@@ -203,7 +214,7 @@ class FormulaEffect:
         return known.get((key, power), f"{force}/({unit})^{power:g}")
 
     def _definition_source(self) -> str:
-        """Return the text of the file without the registration."""
+        """Return the source of a file that defines the effect but does not register it."""
         expression = self._expression
         helpers = dict.fromkeys(t.helper for t in self.formula.terms if t.helper is not None)
         body = "\n\n\n".join(inspect.getsource(helper).rstrip() for helper in helpers)
@@ -263,7 +274,7 @@ class FormulaEffect:
 
     @staticmethod
     def _predicate_source(name: str, arguments: str, condition: str) -> str:
-        """Return the source of a function that says whether the effect can act at a site or on a machine."""
+        """Return the source of a function that tells whether an effect can act at a site, or on a machine."""
         return (
             f"def {name}({arguments}):  # type: ignore[no-untyped-def]\n"
             '    """Return whether the effect can act there."""\n'
@@ -271,7 +282,7 @@ class FormulaEffect:
         )
 
     def _effect_source(self, variable: str, reads_another: bool) -> str:
-        """Return the source of the definition."""
+        """Return the source of the statement EFFECT = Effect(...)."""
         lines = [
             f'name="{self.name}"',
             'site="coordinate"',
@@ -309,7 +320,7 @@ def write_effect_file(effect: FormulaEffect, path: Path) -> None:
 
 
 def _rounded(value: float) -> float:
-    """Return a value rounded to five digits."""
+    """Return a value rounded to five significant digits."""
     return float(f"{value:.5g}")
 
 
