@@ -267,10 +267,15 @@ class InitialStateProjection:
 
         Args:
             residual: Residuals of a batch of predictions, in units of the noise, shape (batch, rows).
+
+        Returns:
+            Sums of squares, shape (batch,); infinite where a square is, close to divergence.
         """
         along = residual @ self.directions
         removed = self.weights * (2.0 - self.weights)  # 1 - (1 - weights)^2, of each square of along
-        return np.asarray(np.einsum("bi,bi->b", residual, residual) - along**2 @ removed)
+        with np.errstate(over="ignore", invalid="ignore"):  # a square of a divergent prediction is infinite
+            costs = np.einsum("bi,bi->b", residual, residual) - along**2 @ removed
+        return np.where(np.isfinite(costs), costs, np.inf)
 
 
 def probable_amounts(residual: Array, displaced: Array, differences: Array) -> Array:

@@ -70,6 +70,17 @@ def test_projection_of_a_machine_close_to_divergence_does_not_overflow(hframe: M
     np.testing.assert_array_equal(projection.weights, 1.0)
 
 
+def test_the_cost_of_a_prediction_close_to_divergence_is_infinite(hframe: Machine) -> None:
+    """Its square is no number any more; the others of its batch keep theirs, and nothing warns."""
+    data = prepare([moving_run(hframe, rest_state(hframe))], hframe)
+    projection = simulation_projection(hframe, data)
+    assert projection is not None
+    rows = len(projection.directions)
+    costs = projection.costs(np.vstack([np.full(rows, 1e200), np.ones(rows)]))
+    assert costs[0] == np.inf
+    assert costs[1] == pytest.approx(np.sum(projection(np.ones((1, rows))) ** 2))
+
+
 def test_no_projection_without_belts(axis: Machine) -> None:
     data = prepare([moving_run(axis, rest_state(axis))], axis)
     assert simulation_projection(axis, data) is None
