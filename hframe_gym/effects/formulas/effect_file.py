@@ -34,7 +34,7 @@ _LARGE = 1e6  # SI; bound of parameters that physics does not limit.
 # Typical size of an amplitude that is a force, a stiffness or a drag, in multiples of its typical value on a
 # machine.
 _TYPICAL_SCALE = 0.3
-_LINE = 120  # Largest length of a line that declares a parameter; longer ones are divided.
+_LINE = 110  # Largest length of a line of the file, as in this package.
 # Functions of `elementwise` that a formula may use; the file imports those that it does.
 _FUNCTIONS = ("absolute", "cos", "exp", "maximum", "sin", "sqrt")
 _REGISTRATION = """
@@ -252,7 +252,7 @@ class FormulaEffect:
             *self.notes,
             "A proposal, not physics: review the form, and replace this text by the cause once it is known.",
         ]
-        wrapped = [textwrap.fill(p, 116, break_long_words=False, break_on_hyphens=False) for p in paragraphs]
+        wrapped = [textwrap.fill(p, _LINE, break_long_words=False, break_on_hyphens=False) for p in paragraphs]
         return "\n\n".join([title, *wrapped]) + "\n"
 
     def _hook_source(self, expression: str) -> str:
@@ -261,15 +261,15 @@ class FormulaEffect:
         unit = "N" if self._kind == "linear" else "Nm"
         returned = "force" if self._hook == "force" else "change of the Coulomb friction"
         summands = expression.split(" + ")
-        text = f"return {expression}"
-        if len(text) > 110:
-            text = "return (\n        " + "\n        + ".join(summands) + "\n    )"
+        text = f"    return {expression}"
+        if len(text) > _LINE:
+            text = "    return (\n        " + "\n        + ".join(summands) + "\n    )"
         variable = _described(self.table.definition.against)
         return (
             f"def {self._hook}({names}):  # type: ignore[no-untyped-def]\n"
             f'    """Return the {returned}, {unit}; '
             f'{self._argument}: {variable}, {self._variable_unit()[0]}."""\n'
-            f"    {text}"
+            f"{text}"
         )
 
     @staticmethod
@@ -302,10 +302,10 @@ class FormulaEffect:
             if parameter.grid != (0.0,):
                 end = ",)" if len(parameter.grid) == 1 else ")"
                 arguments.append(f"grid=({', '.join(map(repr, parameter.grid))}{end}")
-            line = f"        EffectParameter({', '.join(arguments)}),\n"
+            line = f"        EffectParameter({', '.join(arguments)}),"
             if len(line) > _LINE:
-                line = "        EffectParameter(\n            " + ", ".join(arguments) + "\n        ),\n"
-            text += line
+                line = "        EffectParameter(\n            " + ", ".join(arguments) + "\n        ),"
+            text += line + "\n"
         return text + "    ),\n)\n"
 
 
