@@ -67,19 +67,22 @@ def _confusion(counts: dict[str, dict[str, int]], path: Path) -> None:
 
 
 def _detection(detection: dict[str, Any], path: Path) -> None:
-    """Draw effects by family and size, and the size at which half are identified, if some but not all are."""
+    """Draw effects by family and size, and the size at which half are identified, if some but not all are.
+
+    Effects without a trace in the runs, which no method can find, are drawn apart from the missed ones.
+    """
     figure, axes = plt.subplots(figsize=(6, 0.27 * len(detection) + 1.5), layout="constrained")
-    for identified, marker, color, shift, name in (
-        (True, "o", _GREEN, 0.12, "identified"),
-        (False, "x", _RED, -0.12, "not identified"),
+    identified = {family: [p[0] for p in found["points"] if p[1]] for family, found in detection.items()}
+    missed = {family: [p[0] for p in found["points"] if not p[1]] for family, found in detection.items()}
+    hidden = {family: found["without_trace"] for family, found in detection.items()}
+    for sizes, marker, color, shift, name in (
+        (identified, "o", _GREEN, 0.12, "identified"),
+        (missed, "x", _RED, -0.12, "not identified"),
+        (hidden, "+", _GRAY, -0.12, "without a trace in the runs"),
     ):
-        points = [
-            (100 * size, row + shift)
-            for row, found in enumerate(detection.values())
-            for size, hit in found["points"]
-            if hit == identified
-        ]
-        axes.plot(*np.reshape(points, (-1, 2)).T, marker, ms=4, color=color, label=name)
+        points = [(100 * size, row + shift) for row, some in enumerate(sizes.values()) for size in some]
+        if points:
+            axes.plot(*np.transpose(points), marker, ms=4, color=color, label=name)
     halves = [
         (100 * found["half"], row)
         for row, found in enumerate(detection.values())
@@ -94,7 +97,7 @@ def _detection(detection: dict[str, Any], path: Path) -> None:
     axes.set_yticks(range(len(detection)), list(detection), fontsize=7)
     axes.invert_yaxis()
     axes.set_xlabel("size, % of the full one")
-    figure.legend(loc="outside upper center", ncols=3, fontsize=7, frameon=False)
+    figure.legend(loc="outside upper center", ncols=2, fontsize=7, frameon=False)
     save_figure(figure, path)
 
 

@@ -136,38 +136,47 @@ def _without_trace(hidden: dict[str, Any]) -> bool:
 def _above(hidden: dict[str, Any], detection: dict[str, Any]) -> bool:
     """Return whether a hidden effect is larger than the size at which half of its family are identified."""
     size = detection.get(hidden["family"], {}).get("half")
-    return not hidden["absorbed"] and (size is None or hidden["size"] > size)
+    counted = not hidden["absorbed"] and not _without_trace(hidden)
+    return counted and (size is None or hidden["size"] > size)
 
 
 def detection_sizes(rows: list[Row]) -> dict[str, Any]:
     """Estimate the size at which half of the effects of a family are identified.
 
-    A logistic curve over the logarithm of the size is fitted to all effects in clean rigs and rigs with a
-    residue.
+    A logistic curve over the logarithm of the size is fitted to the effects with a trace in clean rigs and
+    rigs with a residue.
 
     Returns:
         By family: count, identified, half (fraction of the full size; None if all are identified), points
-        (pairs of size and whether it was identified).
+        (pairs of size and whether it was identified), all of effects with a trace; without_trace (sizes of
+        the others).
     """
     points: dict[str, list[tuple[float, bool]]] = defaultdict(list)
+    without_trace: dict[str, list[float]] = defaultdict(list)
     for row in _of_kind(rows, "library"):
         for hidden in row["hidden"]:
-            if not hidden["absorbed"]:
+            if hidden["absorbed"]:
+                continue
+            if _without_trace(hidden):
+                without_trace[hidden["family"]].append(hidden["size"])
+            else:
                 points[hidden["family"]].append((hidden["size"], hidden["identified"]))
+    families = sorted(points.keys() | without_trace.keys())
     return {
         family: {
             "count": len(some),
             "identified": sum(identified for _, identified in some),
             "half": _half(some),
             "points": sorted(some),
+            "without_trace": sorted(without_trace[family]),
         }
-        for family, some in sorted(points.items())
+        for family, some in ((family, points[family]) for family in families)
     }
 
 
 def _half(points: list[tuple[float, bool]]) -> float | None:
     """Return the size at which the most likely logistic curve is one half; None if all were identified."""
-    size, identified = np.array([p[0] for p in points]), np.array([p[1] for p in points])
+    size, identified = np.array([p[0] for p in points]), np.array([p[1] for p in points], dtype=bool)
     if identified.all():
         return None
     best, likelihood = float(_SIZES[-1]), -np.inf

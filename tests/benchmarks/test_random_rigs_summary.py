@@ -72,6 +72,13 @@ def test_detection_size_lies_between_missed_and_identified_sizes():
     assert above == {"effects": 2, "identified": 2}
 
 
+def test_effects_without_a_trace_are_no_missed_ones():
+    missed = _hidden("presliding", 0.95, False) | {"trace": 3.0}
+    found, names = (summary([*ROWS, _row(8, [missed])])[key] for key in ("detection", "names"))
+    assert found["presliding"] == summary(ROWS)["detection"]["presliding"] | {"without_trace": [0.95]}
+    assert names["above_detection"] == summary(ROWS)["names"]["above_detection"]
+
+
 def test_effects_above_the_median_size_count_in_all_rigs_with_effects_of_the_library():
     above = summary(ROWS)["names"]["above_median_size"]
     assert above == {"effects": 2, "identified": 1, "size": 0.3}
