@@ -252,7 +252,9 @@ class FormulaEffect:
             *self.notes,
             "A proposal, not physics: review the form, and replace this text by the cause once it is known.",
         ]
-        wrapped = [textwrap.fill(p, _LINE, break_long_words=False, break_on_hyphens=False) for p in paragraphs]
+        wrapped = [
+            textwrap.fill(p, _LINE, break_long_words=False, break_on_hyphens=False) for p in paragraphs
+        ]
         return "\n\n".join([title, *wrapped]) + "\n"
 
     def _hook_source(self, expression: str) -> str:
