@@ -20,7 +20,7 @@ import sys
 from pathlib import Path
 
 from benchmarks.gap import bounds, protocol, results
-from benchmarks.gap.entries import entry_names, get_entry
+from benchmarks.gap.catalog import entry_names, get_entry
 from benchmarks.gap.plants import COUNT, PUBLIC_SEED, draw_plant
 from benchmarks.gap.summary import RESULTS, overview, read_all, summarize, trained_against_corrected
 from benchmarks.results_file import write_results

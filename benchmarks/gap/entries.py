@@ -1,43 +1,23 @@
-"""Entries: the interface of what can be scored, and the entries of the repository.
+"""Entries: the interface of what can be scored, and those that a machine and a design make.
 
 An entry is a class. The protocol makes one object per plant, calls `prepare` once, `practice` after each
-practice episode of the online track, and `controller` once per task. A class of your own is named
-`package.module:Class` on the command line.
-
-| name | track | what controls the plant |
-|---|---|---|
-| `pid`, `predictive`, `adaptive-pid`, `textbook-pid` | zero-shot | designed from the declared machine |
-| `ppo_mix`, `apg_mix`, `residual`, `sac`, ... | zero-shot | agents with laws of the declared machine |
-| `history` | zero-shot | PPO that corrects `pid` and observes the last periods (`history_policy`) |
-| `NAME-drift` | zero-shot | NAME; its state estimator also estimates slow errors of the encoders |
-| `NAME-learned` | identified | NAME, and voltages learned from the recordings (`learned_residual`) |
-| `NAME-refitted` | identified | NAME, designed from the machine whose own parameters are refitted |
-| `NAME-corrected` | identified | NAME, designed from the machine with the effects that identification found |
-| `NAME-posterior` | identified | the same; the state estimator begins with the posterior of the parameters |
-| `NAME-online` | online | NAME's estimator keeps the parameters that it finds in practice |
-| `REACH+TRACK` | zero-shot | two policies of yours: `model.zip` or `hframe train` (`saved_policies`) |
-| `ppo-trained`, `ppo_mix-trained`, `apg-trained`, ... | identified | trained on the corrected machine |
+practice episode of the online track, and `controller` once per task. `catalog` names the entries.
 
 State estimators of identified entries take the encoders for sensors that drift if the held-out recordings are
 then more probable (`encoders_drift`).
-
-The weights of an agent NAME are those of seed 0; `NAME-seed1-corrected` and the like are those of other
-seeds, which `hframe train` trains first where the package does not ship them
-(`benchmarks.agent_seeds.agent_folder`).
 """
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
-import importlib
 import inspect
 import json
 import re
 import sys
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 from typing_extensions import override
@@ -53,21 +33,26 @@ from hframe_gym.controllers import (
     encoders_drift,
 )
 from hframe_gym.envs import Task, observed_machine
-from hframe_gym.errors import InputError
 from hframe_gym.files import write_text
 from hframe_gym.machine import Machine
 from tests.reference_simulator import Array
 
+if TYPE_CHECKING:
+    from hframe_gym.agents import Recipe
+
 Trackname = Literal["zero-shot", "identified", "online"]
 MODELS = ("refitted", "corrected", "posterior")
-HISTORY = "history"  # the entry of `history_policy`
-VARIANTS = ("drift", "learned", *MODELS, "online")
 # Relative standard deviation, added to the posterior: what identification cannot know, such as heat and wear.
 _FLOOR = 0.02
+# Environment steps of a training on a plant, by kind of the algorithm: one to three minutes for both tasks.
+_STEPS = {"ppo": 200_000, "apg": 200_000, "sac": 80_000}
 # PPO continues a policy with a critic of random weights. At the learning rate of `ppo_mix_reach`, 1e-3, first
 # updates slow moves on the machine of plant 0 by 5 %, which training does not make up; at this one they
-# become 5 % faster.
-_CONTINUED = {"learning_rate": [3e-4, 1e-5], "target_kl": 0.02}
+# become 5 % faster. The critics of SAC learn alone for a quarter of the steps, from episodes of the policy.
+_CONTINUED: dict[str, dict[str, Any]] = {
+    "ppo": {"learning_rate": [3e-4, 1e-5], "target_kl": 0.02},
+    "sac": {"learning_rate": [3e-4, 1e-5], "learning_starts": 0, "critic_steps": 20_000},
+}
 
 
 class GapEntry(ABC):
@@ -349,6 +334,23 @@ class OnlineMachine(DeclaredMachine):
         self.covariance = _limited(after, estimator.augmented.covariance)
 
 
+def continued(recipe: Recipe, start: str, randomize: str) -> Recipe:
+    """Return the recipe by which a shipped agent is trained further on one machine.
+
+    Args:
+        recipe: Recipe of the agent.
+        start: Name of the shipped agent.
+        randomize: Randomization of the machine.
+    """
+    algorithm = recipe.algorithm | _CONTINUED.get(recipe.kind, {})
+    if isinstance(algorithm.get("target_entropy"), list):  # the noise at the end of the agent's training
+        algorithm["target_entropy"] = algorithm["target_entropy"][-1]
+    environment = {**recipe.env, "randomize": randomize}
+    return dataclasses.replace(
+        recipe, steps=_STEPS[recipe.kind], env=environment, start=start, algorithm=algorithm
+    )
+
+
 class TrainedAgent(IdentifiedMachine):
     """An agent that is trained on the corrected machine of the plant, randomized over its posterior.
 
@@ -356,38 +358,32 @@ class TrainedAgent(IdentifiedMachine):
 
     Attributes:
         recipes: By task, recipe and shipped agent from which its training starts.
-        steps: Environment steps of each training.
     """
 
     recipes: ClassVar[dict[str, tuple[str, str]]] = {}
-    steps: ClassVar[int] = 200_000
     learned = True
     knowledge = "corrected machine, trained on its posterior"
 
     @override
     def prepare(self, declared: Machine, recorder: Recorder, folder: Path) -> None:
         super().prepare(declared, recorder, folder)
-        self.folders = {task: folder / f"{self.name}-{task}-{self.steps}" for task in self.recipes}
+        self.folders = {task: folder / f"{self.name}-{task}" for task in self.recipes}
         for task, out in self.folders.items():
             self._train(task, out)
 
     def _train(self, task: str, out: Path) -> None:
-        """Train the agent of a task, unless its folder holds the one of this machine."""
+        """Train the agent of a task, unless its folder holds the one of this machine and recipe."""
         from hframe_gym.agents import load_recipe, train
 
-        done, machine_key = out / "trained_on.txt", IdentifiedMachine.key(self)
-        if done.is_file() and done.read_text("utf-8") == machine_key:
-            return
         name, start = self.recipes[task]
-        recipe = load_recipe(name, task)
         randomize = "identified" if self.machine.uncertainty is not None else "default"
-        environment = {**recipe.env, "randomize": randomize}
-        algorithm = recipe.algorithm | (_CONTINUED if recipe.kind == "ppo" else {})
-        recipe = dataclasses.replace(
-            recipe, steps=self.steps, env=environment, start=start, algorithm=algorithm
-        )
+        recipe = continued(load_recipe(name, task), start, randomize)
+        done, settings = out / "trained_on.txt", json.dumps(recipe.as_dict(), sort_keys=True)
+        key = hashlib.sha256(f"{IdentifiedMachine.key(self)} {settings}".encode()).hexdigest()[:16]
+        if done.is_file() and done.read_text("utf-8") == key:
+            return
         train(recipe, self.machine, task, seed=0, out=out, log=lambda line: None, force=True)
-        write_text(done, str(machine_key))
+        write_text(done, key)
 
     @override
     def design(self, task: Task) -> Controller:
@@ -406,29 +402,10 @@ class TrainedAgent(IdentifiedMachine):
         cards = {task: read_training_card(folder / "card.json") for task, folder in self.folders.items()}
         return {
             **super().about(),
-            "training_steps": self.steps,
+            "training_steps": {task: card["curve"][-1]["steps"] for task, card in cards.items()},
             "training_cpu_s": round(sum(card["curve"][-1]["cpu_s"] for card in cards.values()), 1),
             "kept_steps": {task: card["kept"] for task, card in cards.items()},
         }
-
-
-# Recipes of the agents of an entry, by task; where a task has none of this name, the nearest of its kind.
-AGENTS = {
-    "ppo": {"reach": "ppo", "track": "ppo"},
-    "ppo_mix": {"reach": "ppo_mix", "track": "residual"},
-    "sac": {"reach": "sac", "track": "sac"},
-    "sac_mix": {"reach": "sac_mix", "track": "sac"},
-    "apg": {"reach": "apg", "track": "apg"},
-    "apg_mix": {"reach": "apg_mix", "track": "apg_wide"},
-    "apg_wide": {"reach": "apg_wide", "track": "apg_wide"},
-    "residual": {"reach": "residual", "track": "residual"},
-}
-TRAINED = {  # recipe and shipped start of each task
-    "ppo": {"reach": ("adapt", "ppo"), "track": ("ppo", "ppo")},
-    "apg": {"reach": ("adapt_mix", "apg_mix"), "track": ("apg", "apg")},
-    "ppo_mix": {"reach": ("ppo_mix", "ppo_mix"), "track": ("residual", "residual")},
-    "residual": {"reach": ("residual", "residual"), "track": ("residual", "residual")},
-}
 
 
 def family(name: str) -> str:
@@ -448,79 +425,3 @@ def training_seed(name: str) -> int | None:
     """
     found = re.search(r"-seed(\d+)", name)
     return int(found[1]) if found else None
-
-
-def entry_names() -> list[str]:
-    """Return the names of the repository's entries; NAME-seedN... is an agent with another seed than 0."""
-    designs = [name for name in CONTROLLERS if not CONTROLLERS.get(name).set_points] + list(AGENTS)
-    variants = [f"{name}-{variant}" for name in designs for variant in VARIANTS]
-    return [*designs, HISTORY, *variants, *(f"{agent}-trained" for agent in TRAINED)]
-
-
-def get_entry(name: str) -> type[GapEntry]:
-    """Return the class of an entry.
-
-    Args:
-        name: Name of an entry of the repository, `REACH+TRACK` of two saved policies, or
-            `package.module:Class`.
-
-    Returns:
-        The class; the protocol makes one object per plant.
-
-    Raises:
-        InputError: If there is no such entry, or its class lacks a method.
-    """
-    module, _, attribute = name.partition(":")
-    if attribute:
-        try:
-            found = getattr(importlib.import_module(module), attribute)
-        except (ImportError, AttributeError) as error:
-            raise InputError(
-                f"entry {name!r}: {error}; modules are found in the current folder and on PYTHONPATH"
-            ) from None
-        if not (isinstance(found, type) and issubclass(found, GapEntry)):
-            raise InputError(f"entry {name!r} is not a subclass of benchmarks.gap.entries.GapEntry")
-        if missing := found.__abstractmethods__:
-            raise InputError(f"entry {name!r} lacks the method {' and '.join(sorted(missing))}")
-        return found
-    base, _, variant = name.rpartition("-")
-    if base in TRAINED and variant == "trained":
-        return _made(f"{base}-seed0-trained", TrainedAgent, recipes=TRAINED[base])
-    if variant not in VARIANTS:
-        base, variant = name, "declared"
-    from benchmarks.gap.learned_residual import LearnedResidual
-
-    others: dict[str, type[DesignedEntry]] = {
-        "declared": DeclaredMachine,
-        "drift": DriftingEncoders,
-        "learned": LearnedResidual,
-        "online": OnlineMachine,
-    }
-    machine = others.get(variant, IdentifiedMachine)
-    settings = {"model": variant, "knowledge": f"{variant} machine"} if variant in MODELS else {}
-    if base in CONTROLLERS:
-        return _made(name, RegisteredController, machine, registered=base, **settings)
-    agent, _, seed = base.partition("-seed")
-    if agent in AGENTS and (seed.isdigit() or base == agent):
-        seed = seed or "0"
-        agents = {task: f"{shipped}-seed{seed}" for task, shipped in AGENTS[agent].items()}
-        name = f"{agent}-seed{seed}{name.removeprefix(base)}"  # every result states its seed
-        return _made(name, SeededAgent, machine, agents=agents, **settings)
-    if agent == HISTORY and (seed.isdigit() or base == agent) and variant == "declared":
-        from benchmarks.gap.history_policy import HistoryPolicy
-
-        return _made(f"{HISTORY}-seed{seed or 0}", HistoryPolicy, seed=int(seed or 0))
-    from benchmarks.gap.saved_policies import SavedPolicies, read_name
-
-    if saved := read_name(name):
-        return _made(saved.label, SavedPolicies, paths=saved.paths, measured=saved.measured)
-    raise InputError(
-        f"entry {name!r} is unknown; choose of {', '.join(entry_names())}, "
-        "REACH+TRACK of two saved policies, or package.module:Class"
-    )
-
-
-def _made(name: str, *bases: type[GapEntry], **attributes: object) -> type[GapEntry]:
-    """Return a class of an entry with its name and settings."""
-    fixed = {"name": name, "generated": True, "__module__": __name__}
-    return type(bases[0].__name__, bases, {**fixed, **attributes})

@@ -62,7 +62,8 @@ class Recorder:
         """
         if kind not in KINDS or start not in STARTS:
             raise InputError(
-                f"excitation {kind!r} from {start!r}: choose of {', '.join(KINDS)}; {', '.join(STARTS)}"
+                f"excitation {kind!r} from {start!r}: choose one of {', '.join(KINDS)}, "
+                f"from one of {', '.join(STARTS)}"
             )
         time_s = self._begin(RUN_S)
         jitter_s = self._plant.residue.jitter_s

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.gap.entries import VARIANTS, family, training_seed
+from benchmarks.gap.catalog import VARIANTS
+from benchmarks.gap.entries import family, training_seed
 from benchmarks.gap.plants import draw_plant
 from benchmarks.gap.protocol import DIGEST, EPISODES, PARTS
 from benchmarks.gap.results import PlantScore, compare, interval, plant_scores, read
@@ -202,7 +203,7 @@ def trained_against_corrected(contents: dict[str, dict[str, Any]]) -> dict[str, 
 
     Returns:
         "rows", one per agent and plant, as plain data: "entry", "plant", what it "hides", the environment
-        steps after which the best agent was kept by task ("kept_steps"), those of each training
+        steps after which the best agent was kept by task ("kept_steps"), those of its training
         ("training_steps") and their processor time ("training_cpu_s"), and by part the means of both in s and
         mm with the 95 % interval of the paired "difference" over the episodes.
     """

@@ -64,3 +64,15 @@ def test_a_file_keeps_the_average_and_the_schedule(tmp_path):
     assert torch.equal(weights(loaded.evaluated_policy), weights(model.evaluated_policy))
     assert not torch.equal(weights(loaded.evaluated_policy), weights(loaded.policy))
     assert loaded.entropy_schedule == model.entropy_schedule
+
+
+def test_the_critics_alone_learn_at_first():
+    model = sac(critic_steps=8)
+    first = weights(model.policy)
+    model.learn(8)
+    assert torch.equal(weights(model.policy), first)
+    assert model.log_ent_coef.item() == 0.0
+    assert not torch.equal(next(model.critic.parameters()), next(sac().critic.parameters()))
+    model.learn(1, reset_num_timesteps=False)
+    assert not torch.equal(weights(model.policy), first)
+    assert model.log_ent_coef.item() != 0.0

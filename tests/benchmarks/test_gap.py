@@ -14,6 +14,7 @@ import pytest
 
 from benchmarks.gap import bounds, machines, protocol, results
 from benchmarks.gap.__main__ import run
+from benchmarks.gap.catalog import TRAINED, entry_names, get_entry
 from benchmarks.gap.control_loop import (
     CLOCK_S,
     DURATION_S,
@@ -23,12 +24,12 @@ from benchmarks.gap.control_loop import (
     control,
     starts_of,
 )
-from benchmarks.gap.entries import GapEntry, entry_names, get_entry, posterior_covariance
+from benchmarks.gap.entries import GapEntry, continued, posterior_covariance
 from benchmarks.gap.plants import COUNT, PUBLIC_SEED, GapPlant, declared_machine, draw_plant
 from benchmarks.gap.recorder import CHOSEN_S, Recorder, standard_session
 from benchmarks.gap.saved_policies import MeasuredRates
 from benchmarks.gap.summary import RESULTS, overview, read_all, summarize, trained_against_corrected
-from hframe_gym.agents import shipped_agent_folder
+from hframe_gym.agents import load_recipe, shipped_agent_folder
 from hframe_gym.controllers import Controller, OutputFeedbackController, StateEstimator
 from hframe_gym.envs import Reach, Track, observed_machine
 from hframe_gym.envs.sb3_vec_env import HFrameVecEnv
@@ -254,7 +255,7 @@ def test_names_of_entries() -> None:
         "adaptive-pid-online",
         "ppo",
         "apg_mix-corrected",
-        "apg-trained",
+        "apg_mix-trained",
     } <= set(entry_names())
     assert get_entry("pid-refitted").track == "identified"
     assert get_entry("predictive-online").track == "online"
@@ -568,7 +569,7 @@ def test_agents_are_trained_on_each_task_and_machine(tmp_path: Path, monkeypatch
     def fake_train(recipe: Any, machine: Machine, task: str, *, out: Path, **settings: Any) -> None:
         runs.append((recipe.name, recipe.start, recipe.env["randomize"], task, machine.parameters["x.mass"]))
         out.mkdir(parents=True, exist_ok=True)
-        (out / "card.json").write_text(json.dumps({"kept": 7, "curve": [{"cpu_s": 2.0}]}))
+        (out / "card.json").write_text(json.dumps({"kept": 7, "curve": [{"cpu_s": 2.0, "steps": 9}]}))
 
     monkeypatch.setattr("hframe_gym.agents.train", fake_train)
     monkeypatch.setattr(
@@ -589,6 +590,7 @@ def test_agents_are_trained_on_each_task_and_machine(tmp_path: Path, monkeypatch
         ("residual_track", "residual", "default", "track"),
     ]
     assert (about["kept_steps"], about["training_cpu_s"]) == ({"reach": 7, "track": 7}, 4.0)
+    assert about["training_steps"] == {"reach": 9, "track": 9}
     prepared()
     assert len(runs) == 2  # the agents of this machine are kept
     heavier = declared_machine().replace({"x.mass": 5.0})
@@ -597,10 +599,20 @@ def test_agents_are_trained_on_each_task_and_machine(tmp_path: Path, monkeypatch
     assert [run[4] for run in runs[2:]] == [5.0, 5.0]
 
 
+def test_sac_continues_with_the_noise_of_its_last_episodes_and_learns_its_critics_first() -> None:
+    for task, entropy in (("reach", -8.0), ("track", -2.0)):
+        name, start = TRAINED["sac_mix"][task]
+        recipe = continued(load_recipe(name, task), start, "identified")
+        assert recipe.start == start
+        assert recipe.env["randomize"] == "identified"
+        assert recipe.algorithm["target_entropy"] == entropy
+        assert 0 == recipe.algorithm["learning_starts"] < recipe.algorithm["critic_steps"] < recipe.steps
+
+
 def test_trained_agents_are_compared_with_those_of_corrected_laws() -> None:
     trained = _content("ppo_mix-seed0-trained", [[0.3, 0.3, 0.4]])
     trained["plants"][0]["about"] = {
-        "training_steps": 9,
+        "training_steps": {"reach": 9, "track": 9},
         "training_cpu_s": 1.0,
         "kept_steps": {"reach": 8, "track": 0},
     }

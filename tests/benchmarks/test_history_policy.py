@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from benchmarks.gap import history_policy
-from benchmarks.gap.entries import get_entry
+from benchmarks.gap.catalog import get_entry
 from benchmarks.gap.history_policy import PERIODS, HistoryController, HistoryVecEnv, train
 from benchmarks.gap.plants import declared_machine
 from benchmarks.gap.recorder import Recorder

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -36,3 +37,22 @@ def test_benchmarks_import_names_that_exist() -> None:
         if not has_name(module, name)
     ]
     assert missing == []
+
+
+def module_of(file: Path) -> str:
+    """Return the name of a file's module, or of its package."""
+    return ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+
+
+def test_no_benchmark_imports_itself_by_way_of_others() -> None:
+    """Imports in functions count: they hide a circle."""
+    files = {module_of(file): file for file in (ROOT / "benchmarks").rglob("*.py")}
+    needs = {
+        name: {
+            f"{module}.{part}" if f"{module}.{part}" in files else module
+            for module, part in imported(file)
+            if module.startswith("benchmarks")
+        }
+        for name, file in files.items()
+    }
+    TopologicalSorter(needs).prepare()  # raises CycleError, which names a circle

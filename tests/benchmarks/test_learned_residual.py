@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.gap.catalog import get_entry
 from benchmarks.gap.control_loop import PERIOD_S
-from benchmarks.gap.entries import get_entry
 from benchmarks.gap.learned_residual import Compensated, LearnedResidual, VoltageResidual, missing_forces
 from benchmarks.gap.learned_residual import _Remembering as Remembering
 from benchmarks.gap.plants import declared_machine

@@ -119,13 +119,13 @@ def gap_trained(results: dict[str, Any]) -> str:
             corrected, trained = (scale * row[part][of] for of in ("corrected", "trained"))
             cells += [f"{corrected:.{decimals}f}", f"{trained:.{decimals}f}{sign}"]
         kept = ", ".join(f"{steps}" for steps in row["kept_steps"].values())
-        rows.append([f"{row['plant']}: {row['hides']}", *cells, kept])
+        rows.append([f"`{row['entry'].replace('-seed0', '')}`", f"{row['plant']}", *cells, kept])
     titles = [
         f"{part}, {of}"
         for part in ("moves, s", "circle, um", "square, um")
         for of in ("corrected", "trained")
     ]
-    return markdown(["plant", *titles, "steps of the agents kept: moves, paths"], rows)
+    return markdown(["entry", "plant", *titles, "steps of the agents kept: moves, paths"], rows)
 
 
 def _counts(comparison: dict[str, Any]) -> str:
