@@ -176,7 +176,7 @@ class Stage(ABC):
         ui.notify("Copied", timeout=1000)
 
     def run(self) -> None:
-        """Run the commands of the stage."""
+        """Run the commands of this step of the work."""
         if self.page.window.running is not None:
             ui.notify("Another command is running; wait for it, or stop it", type="warning")
             return
@@ -189,7 +189,7 @@ class Stage(ABC):
         self.progressed(self.page.window.jobs[self.key])
 
     def stop(self) -> None:
-        """Stop the commands of the stage."""
+        """Stop the commands of this step of the work, if they run."""
         if self.job is not None:
             self.job.stop()
             self.progressed(self.job)

@@ -48,9 +48,10 @@ def check_rates(recordings: Sequence[Recording]) -> list[Finding]:
 
 
 def check_travel_of_runs(data: Dataset, machine: Machine) -> list[Finding]:
-    """Report, as faults, sensors that move another multiple of what other sensors measure than in other runs.
+    """Report, as faults, sensors whose travel in one run is in another unit than in the other runs.
 
-    One sensor is named for each run: that whose travel differs most from its travel in the other runs.
+    The ratio of a sensor's travel to that which the other sensors measure is a constant of the machine. One
+    sensor is named for each run: that whose travel differs most from its travel in the other runs.
 
     Args:
         data: Runs prepared for a fit.

@@ -9,7 +9,7 @@ from ..machine import Effect, EffectParameter, Machine
 
 
 def force(q, load, A, n, p):  # type: ignore[no-untyped-def]
-    """Return the torque A |load| sin(n q + p), Nm; load: Nm, A: dimensionless, q: rad, n: 1, p: rad."""
+    """Return the torque A |load| sin(n q + p), Nm; load: Nm, A and n: dimensionless, q, p: rad."""
     return A * absolute(load) * sin(n * q + p)
 
 

@@ -68,7 +68,7 @@ def _evaluate_step(
     tool: Any,
     achieved: Any,
     desired: Any,
-    rounding: Any,
+    normalization: Any,
     kind: int,
     band: float,
     meters: float,
@@ -80,7 +80,7 @@ def _evaluate_step(
 ) -> None:
     """Write distances from tool to desired and built-in rewards of rows first..last-1, as `evaluate_rows`.
 
-    rounding (2, axes): center and scale by which achieved and desired are normalized and restored, as an
+    normalization (2, axes): center and scale by which achieved and desired are normalized and restored, as an
     agent sees them; scale 0: not at all. before (n,): potentials of "progress" before the step, replaced by
     those after it.
     """
@@ -89,7 +89,7 @@ def _evaluate_step(
     for i in range(count):
         distance[first + i] = row_distance(tool, desired, first + i)
         for axis in range(axes):
-            center, scale = rounding[0, axis], rounding[1, axis]
+            center, scale = normalization[0, axis], normalization[1, axis]
             goals[0, i, axis], goals[1, i, axis] = achieved[first + i, axis], desired[first + i, axis]
             if scale > 0.0:
                 for j in range(2):
@@ -130,7 +130,7 @@ class StepRewards:
         if self._builtin is not None:
             self._kind = self._builtin.kind
             self._constants = self._kind, self._builtin.band, self._builtin.meters
-        self._rounding = observation_format.goal_rounding()
+        self._normalization = observation_format.goal_normalization()
         self.depends_on_distance = (
             self.compiled and self._kind != PROGRESS and not observation_format.normalize
         )
@@ -196,7 +196,7 @@ class StepRewards:
             reward: Output, rewards, dimensionless, shape (count,); other rows are not changed.
         """
         achieved, desired = observation["achieved_goal"], observation["desired_goal"]
-        constants = self._rounding, *self._constants, rows.start, rows.stop
+        constants = self._normalization, *self._constants, rows.start, rows.stop
         _evaluate_step(tool, achieved, desired, *constants, self._potential, distance, reward)
 
     def keep_goals(self, observation: Mapping[str, Positions]) -> None:
@@ -255,7 +255,7 @@ class StepRewards:
     def _same_shape(self, achieved_goal: Any, desired_goal: Any) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return goals as arrays of one shape, (axes,) or (n, axes); raise InputError if they do not fit."""
         achieved, desired = np.asarray(achieved_goal), np.asarray(desired_goal)
-        axes = self._rounding.shape[1]
+        axes = self._normalization.shape[1]
         fits = all(goal.ndim in (1, 2) and goal.shape[-1] == axes for goal in (achieved, desired))
         if fits and achieved.shape == desired.shape:
             return achieved, desired

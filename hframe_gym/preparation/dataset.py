@@ -163,7 +163,10 @@ class PreparedRecording:
         )
 
     def without_clock_answers(self) -> Array:
-        """Return the rows' voltages without the answers to the clock's jitter, V, shape (n, drives)."""
+        """Return the rows' voltages without what the clock's jitter adds to them, V, shape (n, drives).
+
+        A controller that reads a sensor late or early answers the difference of position with a voltage.
+        """
         return self.inputs if self.clock_voltages is None else self.inputs - self.clock_voltages.answers
 
     def held(self, step_s: float, inputs: Array | None = None) -> HeldVoltages:

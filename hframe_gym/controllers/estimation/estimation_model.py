@@ -203,7 +203,7 @@ class MeasurementModel:
         """Test which measurements lie strictly inside the ranges of their sensors, shape (B, channels).
 
         At an end of its range, a sensor does not follow the position. Such a measurement must not correct an
-        estimate.
+        estimate. False for sensors that the estimate does not use, and for missing measurements (NaN).
 
         Args:
             measurements: Measurements, m or rad, shape (B, channels).

@@ -90,11 +90,11 @@ class SimulatedMotion:
         return whole[:, :, self._state_columns] * self._travel_per_unit, whole[:, :, self._memory_columns]
 
     def corrected(self, memory: Array, simulated: TravelStates, measured: TravelStates) -> Array:
-        """Correct simulated memories by measured states.
+        """Correct the deflections of slow loads in simulated memories by measured states.
 
         Where the carriage of a load is measured ahead of its simulation, the load itself is assumed to be
         where the simulation has it: its deflection from the carriage is smaller by the difference, and so is
-        its rate.
+        its rate. States of effects stay as simulated.
 
         Args:
             memory: Memories at the end of the simulation, shape (B, M).
@@ -102,7 +102,7 @@ class SimulatedMotion:
             measured: Measured states at that time.
 
         Returns:
-            Memories, shape (B, M).
+            Memories, shape (B, M), new.
         """
         result = memory.copy()
         ahead = (measured - simulated) / self._travel_per_unit

@@ -91,13 +91,19 @@ def direction(v: Any, f: Any) -> Any:
 
 
 def static_friction(f: Any, coulomb: Any) -> Any:
-    """Return the dry friction force at rest, N, which balances the force f within [-F, F]."""
+    """Return the dry friction force at rest, N, which balances the applied force f within F = `coulomb`."""
     below = where(f < coulomb, f, coulomb)  # min(f, F)
     return where(below > -coulomb, below, -coulomb)
 
 
 def friction_force(v: Any, f: Any, coulomb: Any) -> Any:
-    """Return the dry friction force, N, which opposes motion: F sign(v), or at rest f limited to [-F, F]."""
+    """Return the dry friction force, N: F sign(v), or at rest the applied force f limited to [-F, F].
+
+    Args:
+        v: Speed, m/s.
+        f: Sum of all other forces on the coordinate, N.
+        coulomb: Coulomb friction force F >= 0, N.
+    """
     return where(v == 0.0, static_friction(f, coulomb), copysign(coulomb, v))
 
 

@@ -378,7 +378,7 @@ class ObservationFormat:
             restored[key] = values
         return restored
 
-    def goal_rounding(self) -> NDArray[np.float32]:
+    def goal_normalization(self) -> NDArray[np.float32]:
         """Return the centers (row 0) and scales (row 1) that normalize goals, m, shape (2, axes).
 
         Without the option `normalize`, the scales are 0: goals are then observed in meters.

@@ -93,7 +93,9 @@ def likelihood_loss(fitted: Fit, data: Dataset) -> float:
 
 
 def cost_of_loss(loss: float, machine: Machine, data: Dataset, bandwidth: float) -> float:
-    """Convert a likelihood loss to the cost that a fit with this loss has.
+    """Convert a likelihood loss to a sum of squared residuals, the inverse of `likelihood_loss`.
+
+    A fit can thus end when its cost exceeds that of a required likelihood.
 
     Args:
         loss: Loss (`likelihood_loss`), dimensionless.
@@ -101,7 +103,7 @@ def cost_of_loss(loss: float, machine: Machine, data: Dataset, bandwidth: float)
         bandwidth: Bandwidth of the observer, rad/s; 0 for a simulation.
 
     Returns:
-        Cost, dimensionless.
+        Cost that a fit with this loss has: sum of squared residuals in units of the noise, dimensionless.
     """
     variance, log_variance = innovation_variance(machine, data, bandwidth)
     return (loss - log_variance) * variance * data.count

@@ -35,7 +35,13 @@ def promises_enough_force(size: float, residue: float, criteria: SelectionCriter
 
 
 def explains_alone(error: FitError, best: FitError | None, criteria: SelectionCriteria) -> bool:
-    """Return whether the best trial explains the data, so that only its possible rivals are fitted."""
+    """Return whether the best trial explains the data, so that only its possible rivals are fitted.
+
+    Args:
+        error: Error of the fit without the trial's effect.
+        best: Error of the best trial, of the same observer; None without trials.
+        criteria: Decision threshold `rival_remainder`.
+    """
     return unexplained_fraction(error, best) < criteria.rival_remainder
 
 

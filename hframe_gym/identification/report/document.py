@@ -331,7 +331,7 @@ class Report(ReportPart):
     def noise_of(self, channel: str) -> float | None:
         """Return the standard deviation of a sensor's noise, in the channel's unit.
 
-        It is None if every machine diverges.
+        It is None for a channel without measurements, or if every machine diverges.
         """
         for stage in reversed(STAGES):
             error = self.machines[stage].channels[channel]
