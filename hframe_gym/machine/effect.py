@@ -19,12 +19,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from numbers import Real
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, get_args
 
 from ..errors import InputError, suggestion
 from .declaration import FIXED_UNITS, UNITS
 
 SiteKind = Literal["coordinate", "motor", "drive", "drives", "belts", "sensor", "machine"]
+ParameterRole = Literal["amplitude", "phase", "period", "rate", "switch", "shape", "fixed"]
 Hook = Callable[..., Any]
 #: The hooks, with the quantities that each may take as arguments; the docstring of `Effect` describes them.
 HOOKS: Mapping[str, tuple[str, ...]] = {
@@ -122,9 +123,15 @@ class EffectParameter:
     scale: float
     grid: tuple[float, ...] = (0.0,)
     largest: float = math.inf
-    role: Literal["amplitude", "phase", "period", "rate", "switch", "shape", "fixed"] = "shape"
+    role: ParameterRole = "shape"
     above: str = ""
     named_from: float = -math.inf
+
+    def __post_init__(self) -> None:
+        """Refuse an unknown role: a search would not find the parameter."""
+        if self.role not in get_args(ParameterRole):
+            roles = ", ".join(get_args(ParameterRole))
+            raise InputError(f"parameter {self.name}: the role is {self.role!r}; choose one of {roles}")
 
     @property
     def amplitude(self) -> bool:
@@ -238,8 +245,8 @@ class Effect:
             machine.
 
     Raises:
-        InputError: If an argument of a hook is neither a parameter nor a quantity of the hook, or is both, or
-            a unit misspells the name of a quantity.
+        InputError: If an argument of a hook is neither a parameter nor a quantity of the hook, or is both, if
+            a unit misspells the name of a quantity, if the kind of site is unknown, or if there is no hook.
     """
 
     name: str
@@ -289,9 +296,14 @@ class Effect:
     signal_order: int = 0
 
     def __post_init__(self) -> None:
-        """Complete the family, and check the names of the hooks' arguments."""
+        """Complete the family, and check the site, the hooks and the names of their arguments."""
         if not self.family:
             object.__setattr__(self, "family", self.name)
+        if self.site not in get_args(SiteKind):
+            kinds = ", ".join(get_args(SiteKind))
+            raise InputError(f"effect {self.name}: the site is {self.site!r}; choose one of {kinds}")
+        if not self.structure and not any(getattr(self, hook) for hook in HOOKS):
+            raise InputError(f"effect {self.name}: has no formula; give one of {', '.join(HOOKS)}")
         for p in self.parameters:
             self._check_unit(p)
         parameters = [p.name for p in self.parameters]

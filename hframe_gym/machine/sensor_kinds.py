@@ -72,12 +72,12 @@ class SensorKind:
 
     @staticmethod
     def measure(reading: Array, noise: ArrayLike, resolution: ArrayLike, normal: ArrayLike) -> Array:
-        """Convert ideal readings to measurements, m or rad: add noise, then round; the shapes broadcast.
+        """Convert ideal readings to measurements: add noise, then round; the shapes broadcast.
 
         Args:
-            reading: Ideal (noise-free, continuous) readings, m or rad, any shape.
-            noise: Standard deviation of the noise, m or rad, any shape.
-            resolution: Quantization step of the sensor, m or rad, any shape; 0 for a continuous sensor.
+            reading: Ideal (noise-free, continuous) readings, in the sensor's unit, any shape.
+            noise: Standard deviation of the noise, same unit, any shape.
+            resolution: Quantization step of the sensor, same unit, any shape; 0 for a continuous sensor.
             normal: Samples of the standard normal distribution, dimensionless, any shape; they are multiplied
                 by `noise`.
         """

@@ -108,6 +108,23 @@ def test_a_unit_is_a_unit_or_the_name_of_one_quantity(unit: str, message: str) -
         )
 
 
+def test_a_definition_without_formula_is_refused() -> None:
+    """It would change nothing, and a search would try it in vain."""
+    with pytest.raises(InputError, match="effect idle: has no formula; give one of force, "):
+        Effect(name="idle", site="coordinate", formula="", source="", parameters=())
+
+
+def test_a_definition_for_an_unknown_kind_of_site_is_refused() -> None:
+    with pytest.raises(InputError, match="effect idle: the site is 'carriage'; choose one of coordinate, "):
+        Effect("idle", "carriage", (), "", "", force=lambda q: -q)  # type: ignore[arg-type]
+
+
+def test_an_unknown_role_is_refused() -> None:
+    """A parameter that is meant as an amplitude, and is none, is not found by a search."""
+    with pytest.raises(InputError, match="parameter k: the role is 'amp'; choose one of amplitude, "):
+        EffectParameter("k", "1", 0.0, 1.0, scale=1.0, role="amp")  # type: ignore[arg-type]
+
+
 def test_quantities_of_the_hooks_are_described() -> None:
     """The table of the docstring lists the same hooks and quantities."""
     rows = re.findall(

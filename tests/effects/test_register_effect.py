@@ -203,6 +203,16 @@ def test_a_formula_that_cannot_be_compiled_is_named(force: Callable[..., Any], m
     )
 
 
+def without_result(v, c):  # type: ignore[no-untyped-def]
+    """Compute a force, and forget to return it."""
+    c * v
+
+
+def test_a_formula_that_returns_nothing_is_named() -> None:
+    with pytest.raises(TypeError, match="toy_without_result@x, force: the formula returns nothing"):
+        simulate(with_force(without_result), np.arange(3) * 1e-3, np.zeros((3, 1)))
+
+
 def test_a_function_of_numbers_fails_with_advice_on_arrays_as_well() -> None:
     message = rf"toy_with_math@x, force: test_register_effect.py, line \d+: only .* arrays .*{ADVICE}$"
     time_s, column = np.arange(3) * 1e-3, np.zeros((3, 1))

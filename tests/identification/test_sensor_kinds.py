@@ -196,6 +196,24 @@ def test_a_kind_may_state_its_unit(tmp_path) -> None:
         SENSOR_KINDS.unregister("generator")
 
 
+def test_a_formula_that_cannot_be_compiled_is_named() -> None:
+    @SENSOR_KINDS.register("bent")
+    class Bent(SensorKind):
+        @staticmethod
+        def signal(position):
+            return np.tanh(position)
+
+    try:
+        with pytest.raises(
+            TypeError, match=r"^sensor kind bent, signal: test_sensor_kinds.py, line .*; use the "
+        ):
+            simulate(
+                motor((Sensor("bent_rad", {"shaft": 1.0}, kind="bent"),)), np.arange(3.0), np.zeros((3, 1))
+            )
+    finally:
+        SENSOR_KINDS.unregister("bent")
+
+
 def test_every_kind_is_tested_here(stage_machine: Machine) -> None:
     tested = {sensor.kind for sensors in (*SENSORS.values(), stage_machine.sensors) for sensor in sensors}
     kinds = {name for name in SENSOR_KINDS if SENSOR_KINDS.get(name).__module__.startswith("hframe_gym.")}

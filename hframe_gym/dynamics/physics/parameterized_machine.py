@@ -9,7 +9,7 @@ from typing import Any
 
 from ...machine import AppliedEffect, Component, Machine, argument_names
 from ..symbolic.elementwise import named
-from ..symbolic.tracing import describe_formula_error
+from ..symbolic.tracing import evaluate_formula
 from .effect_instances import effect_instances
 
 # A float, an array or a symbolic expression (of the kernel's source text, or of CasADi). The arrays of a call
@@ -178,17 +178,14 @@ class ParameterizedMachine:
                 position q (m or rad) and speed v (m/s or rad/s).
 
         Raises:
-            TypeError: If the formula cannot be evaluated, for example because it uses a function of NumPy.
+            TypeError: If the formula cannot be evaluated (`evaluate_formula`).
         """
         function = getattr(effect.definition, hook)
         names = argument_names(function)
         values = [
             self.parameter(f"{effect.label}.{n}") if n in effect.parameters else quantities[n] for n in names
         ]
-        try:
-            return function(*values)
-        except TypeError as error:
-            raise TypeError(f"{effect.label}, {hook}: {describe_formula_error(error)}") from error
+        return evaluate_formula(f"{effect.label}, {hook}", function, *values)
 
     def position(self, point: MotionPoint, i: int) -> Value:
         """Return the position of coordinate i in its unit, m or rad: belt travel divided by radius."""

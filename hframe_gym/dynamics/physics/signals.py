@@ -8,6 +8,7 @@ from typing import Any
 
 from ...machine import SENSOR_KINDS
 from ..symbolic.elementwise import named
+from ..symbolic.tracing import evaluate_formula
 from .belts import BeltEquations, combination
 from .parameterized_machine import MotionPoint, Value
 
@@ -95,7 +96,8 @@ class SignalEquations(BeltEquations):
                 of_kind = components[sensor.sensed.component]
                 row = {of_kind.index(key): coefficient for key, coefficient in sensor.row.items()}
                 reading = combination(row, motion[quantity])
-            reading = SENSOR_KINDS.get(sensor.kind).signal(reading)
+            signal = SENSOR_KINDS.get(sensor.kind).signal
+            reading = evaluate_formula(f"sensor kind {sensor.kind}, signal", signal, reading)
             # Ripple depends on the position of what is measured, skew on that of the other carriage.
             measured = self.machine.coordinate_of_sensor(sensor)
             across = self.machine.other_axis(sensor.coordinate)

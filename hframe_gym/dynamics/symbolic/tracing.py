@@ -231,7 +231,28 @@ def first_of(conditions: Sequence[Any], values: Sequence[Any], otherwise: Any) -
     return selected
 
 
-def describe_formula_error(error: TypeError) -> str:
+def evaluate_formula(label: str, function: Callable[..., Any], *values: Any) -> Any:
+    """Return the result of a formula of an effect or a sensor kind.
+
+    Args:
+        label: What the formula belongs to, and its name, for the message of an error.
+        function: The formula.
+        *values: Its arguments.
+
+    Raises:
+        TypeError: If the formula cannot be evaluated, for example because it uses a function of NumPy, or
+            returns nothing.
+    """
+    try:
+        result = function(*values)
+    except TypeError as error:
+        raise TypeError(f"{label}: {_describe_formula_error(error)}") from error
+    if result is None:
+        raise TypeError(f"{label}: the formula returns nothing; it must return the value")
+    return result
+
+
+def _describe_formula_error(error: TypeError) -> str:
     """Describe an error in a formula by its line, its message and, where one helps, advice.
 
     The text is, for example, "drag.py, line 7: must be real number, not Expression; use the functions of

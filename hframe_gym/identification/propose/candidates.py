@@ -233,12 +233,27 @@ def candidates(state: SearchState) -> list[Candidate]:
         Candidates, those of one strategy after those of another, in the order of the strategies' names.
         Proposals at other sites than `SearchState.sites`, and with values that the runs cannot show, are left
         out.
+
+    Raises:
+        TypeError: If a strategy returns something else than candidates; the message names it.
     """
-    proposed = [candidate for name in sorted(STRATEGIES) for candidate in STRATEGIES.get(name)(state)]
+    proposed = [candidate for name in sorted(STRATEGIES) for candidate in _proposed(name, state)]
     sites = {c.effect.name: state.sites(c.effect) for c in proposed}
     return [
         c for c in proposed if c.site in sites[c.effect.name] and state.covers(c.effect, c.site, c.columns[0])
     ]
+
+
+def _proposed(name: str, state: SearchState) -> list[Candidate]:
+    """Return the candidates of a strategy; raise a TypeError if it returns something else."""
+    proposed = STRATEGIES.get(name)(state)
+    found = list(proposed) if isinstance(proposed, Iterable) else [proposed]
+    for candidate in found:
+        if not isinstance(candidate, Candidate):
+            raise TypeError(
+                f"proposal strategy {name}: proposes {candidate!r}; it must yield state.candidate(...)"
+            )
+    return found
 
 
 def is_required(machine: Machine, label: str) -> bool:

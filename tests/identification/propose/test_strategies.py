@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -54,6 +55,16 @@ def test_the_search_ranks_what_a_strategy_proposes(state: SearchState, known_per
     current = fit(AXIS, default_free_parameters(AXIS), state.data, SEARCH_BANDWIDTH)
     best = screened_fit(current, state.data).screening.ranked()[0]
     assert best.candidate.columns[0]["L"] == PERIOD
+
+
+@pytest.mark.parametrize("proposed", [None, [("position_friction", "x", {"L": PERIOD})]])
+def test_a_strategy_that_proposes_something_else_is_named(state: SearchState, proposed: Any) -> None:
+    STRATEGIES.register("rail")(lambda state: proposed)
+    try:
+        with pytest.raises(TypeError, match=r"strategy rail: proposes .*; it must yield state\.candidate"):
+            candidates(state)
+    finally:
+        STRATEGIES.unregister("rail")
 
 
 def test_nothing_is_proposed_that_the_machine_has(state: SearchState) -> None:
