@@ -1,11 +1,11 @@
-"""Simulation of the machine of a controller's model, including the states that no sensor measures.
+"""Simulation of a controller's machine, period after period, with the states that no sensor measures.
 
 A state of `MotionModel` holds travel and velocity of the coordinates of tool and drives. The motion also
 depends on states that are not measured, here called the memory of the machine: the states of effects, such as
 a hysteresis, the heat of a winding, or the rotation of an eccentric pulley since the episode started, and the
-deflection of a load that swings slowly on its carriage. If each control period were simulated without the
-memory of the one before, the controller would take the travel that an eccentric pulley adds for a stretched
-belt, and thus for a force of tens of newtons.
+deflection of a load that swings slowly on its carriage. Each control period is simulated from the memory at
+the end of the one before. Without it, the travel that an eccentric pulley adds to the belt would look like a
+stretched belt, and thus like a force of tens of newtons.
 """
 
 from __future__ import annotations
@@ -20,10 +20,15 @@ from .motion_model import MotionModel
 
 
 class SimulatedMotion:
-    """Simulations of B machines, each from a state of the controller's model and a memory.
+    """Simulates a batch of B machines, each from its own state and memory.
 
-    A row of the memories, shape (B, M), holds the deflections of slow loads (m or rad), their rates (m/s or
-    rad/s), and the states of effects (SI). All are zero at the start of an episode, where the machine rests.
+    A row of the memories, shape (B, M), holds the deflections of slow loads from their carriages (m or rad),
+    their rates (m/s or rad/s), and the states of effects (SI). All are zero at the start of an episode, where
+    the machine rests.
+
+    Args:
+        model: Model with n coordinates, in whose states, belt travel, the machines start and end. Its machine
+            with slow loads (`MotionModel.simulated`) is simulated.
 
     Attributes:
         memory_size: Number M of entries of a memory.
@@ -33,6 +38,7 @@ class SimulatedMotion:
         self._machine = machine = model.simulated
         names, modeled = machine.coordinate_names, model.machine.coordinate_names
         n, effects = len(names), len(instances_with_state(machine))
+        # Columns of a simulated state, which is: positions, then velocities of all coordinates, then effects.
         in_model = np.array([names.index(name) for name in modeled], np.intp)
         loads = np.array([i for i, name in enumerate(names) if name not in modeled], np.intp)
         self._state_columns = np.concatenate([in_model, n + in_model])
@@ -42,8 +48,8 @@ class SimulatedMotion:
         parameters = list(machine.parameters)
         self._parameter_columns = [parameters.index(name) for name in model.machine.parameters]
         self._parameters = np.array(list(machine.parameters.values()))
-        # Deflection and rate of each load in the memory, and travel and velocity of its carriage in the
-        # state.
+        # Columns of the deflections and rates of all loads in a memory; of the travel and velocity of their
+        # carriages in a state of the model.
         sites = {e.coordinate: e.site for e in machine.effects if e.definition.reaction}
         carriages = np.array([modeled.index(sites[names[i]]) for i in loads], np.intp)
         self._load_columns = np.arange(2 * len(loads))
@@ -58,16 +64,18 @@ class SimulatedMotion:
         parameters: ParameterRows | None = None,
         **options: Any,
     ) -> tuple[Array, Array]:
-        """Simulate machines from given states and memories.
+        """Simulate the machines from given states and memories.
 
         Args:
-            memory: Memories, shape (B, M).
+            state: States at the first time.
+            memory: Memories at the first time, shape (B, M).
             volts: Commanded voltages, held from each time until the next, V, shape (B, N, drives).
             parameters: Parameters of the model's machine, shape (B, parameters). Default: its own.
             **options: Keyword arguments of `simulate_batch`: `longest_step`, `parallel`.
 
         Returns:
-            States of the model, shape (B, N, 2 n), and memories, shape (B, N, M), at all times.
+            States of the model at all times, travel, m, then velocity, m/s, shape (B, N, 2 n).
+            Memories at all times, shape (B, N, M).
         """
         start = np.empty((len(state), len(self._state_columns) + self.memory_size))
         start[:, self._state_columns] = state / self._travel_per_unit
@@ -90,16 +98,17 @@ class SimulatedMotion:
         return whole[:, :, self._state_columns] * self._travel_per_unit, whole[:, :, self._memory_columns]
 
     def corrected(self, memory: Array, simulated: TravelStates, measured: TravelStates) -> Array:
-        """Correct the deflections of slow loads in simulated memories by measured states.
+        """Correct the deflections of slow loads in simulated memories by the measured motion of carriages.
 
-        Where the carriage of a load is measured ahead of its simulation, the load itself is assumed to be
-        where the simulation has it: its deflection from the carriage is smaller by the difference, and so is
-        its rate. States of effects stay as simulated.
+        A measurement corrects the position of the carriage alone; the load is assumed to be where it was
+        simulated. If the carriage is ahead of its simulation, the deflection of the load, relative to the
+        carriage, is therefore smaller by the difference, and so is its rate. States of effects stay as
+        simulated.
 
         Args:
             memory: Memories at the end of the simulation, shape (B, M).
             simulated: States at the end of the simulation.
-            measured: Measured states at that time.
+            measured: States at that time according to the sensors, from a state estimator.
 
         Returns:
             Memories, shape (B, M), new.
