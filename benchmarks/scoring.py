@@ -85,7 +85,7 @@ def score_session(session: Session, answer: IdentificationResult) -> dict[str, A
             n: {c: e.noise_ratio for c, e in s.held_out.channels.items()} for n, s in stages.items()
         },
         "truth_um": {n: _tool_error(session, answer, s.machine) for n, s in stages.items()},
-        "parameter_error": _parameter_error(case, answer),
+        "parameter_error": parameter_error(case, answer),
         "white": answer.white,
         "seconds": round(answer.seconds, 2),
     }
@@ -106,7 +106,7 @@ def _tool_error(session: Session, answer: IdentificationResult, machine: Machine
     return 1e6 * float(np.sqrt(sum((errors[channel].rmse or 0.0) ** 2 for channel in ("x_m", "y_m"))))
 
 
-def _parameter_error(case: Case, answer: IdentificationResult) -> dict[str, float]:
+def parameter_error(case: Case, answer: IdentificationResult) -> dict[str, float]:
     """Return the relative errors of parameters by name@site.parameter, for effects named by their label.
 
     A parameter whose true value is zero has no relative error.
@@ -117,7 +117,7 @@ def _parameter_error(case: Case, answer: IdentificationResult) -> dict[str, floa
         for name, value in case.true_parameters(hidden).items():
             if name in estimates and value != 0.0:
                 # A negative amplitude of a sine is a phase that differs by half a period.
-                errors[f"{hidden.label}.{name}"] = abs(abs(estimates[name]) / abs(value) - 1.0)
+                errors[f"{hidden.label}.{name}"] = float(abs(abs(estimates[name]) / abs(value) - 1.0))
     return errors
 
 

@@ -1,8 +1,12 @@
 """Test the scores of the identification benchmark."""
 
+import json
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 
-from benchmarks.scoring import NameScore, classify, score_names
+from benchmarks.scoring import NameScore, classify, parameter_error, score_names
 from tests.rigs.cases import cases
 from tests.rigs.random_effects import DrawnEffect
 
@@ -34,6 +38,17 @@ RIGS = cases()
 )
 def test_classify(rig, verdict, named, score):
     assert classify(RIGS[rig], verdict, named) == score
+
+
+def test_parameter_errors_and_what_is_counted_of_them_are_plain_data():
+    case = RIGS["stribeck_friction@x full"]
+    (hidden,) = case.hidden_effects
+    true = case.true_parameters(hidden)
+    estimated = {name: np.float64(1.1 * value) for name, value in true.items()}
+    named = SimpleNamespace(effect=SimpleNamespace(label=hidden.label, parameters=estimated))
+    errors = parameter_error(case, SimpleNamespace(effects=[named]))
+    assert errors == pytest.approx({f"{hidden.label}.{name}": 0.1 for name in true if true[name]})
+    assert json.dumps({"within": sum(error <= 0.2 for error in errors.values())})
 
 
 def _effect(label, **fields):
