@@ -5,6 +5,8 @@ The range of the laser of Sollmann et al. (2010) ends at 100 mm (section V).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..arrays import Array
@@ -12,8 +14,10 @@ from ..dynamics.elementwise import maximum, minimum
 from ..machine import Effect, EffectParameter, Machine
 
 UNLIMITED = 10.0  # An end that was never reached is set to this multiple of the largest measurement.
-# Fraction of the measurements at one outermost value above which it may be the end of a range.
+# Fraction of the measurements at one outermost value above which it may be the end of a range. Only runs that
+# reach this value count: in the others, nothing tells whether the sensor could measure beyond it.
 _END_FRACTION = 0.005
+_TOP_PERCENTILE = 99.9  # the rows beyond it may be outliers
 
 
 def measurement(r, low, high):  # type: ignore[no-untyped-def]
@@ -21,34 +25,43 @@ def measurement(r, low, high):  # type: ignore[no-untyped-def]
     return minimum(maximum(r, low), high)
 
 
-def starting_values(measured: Array, noise: float) -> list[dict[str, float]]:
+def starting_values(measured: Sequence[Array], noise: float) -> list[dict[str, float]]:
     """Estimate range limits of a sensor from its measurements: many equal extreme values mean saturation.
 
     Args:
-        measured: Measurements, m or rad, shape (m,).
+        measured: Measurements of each run, m or rad, shapes (m,).
         noise: Standard deviation of their noise, m or rad.
 
     Returns:
         Sets of limits for a search, m or rad: the limit at which the sensor saturates; or, for two of them,
         each limit alone and both. Empty without saturation.
     """
-    if len(measured) == 0:
+    runs = [run for run in measured if len(run)]
+    if not runs:
         return []
-    ends = []
-    for sign in (-1.0, 1.0):
-        outward = sign * measured
-        top = float(np.percentile(outward, 99.9))
-        outermost = outward > top - 4 * max(noise, 1e-12)
-        saturated = float(np.mean(outermost)) > _END_FRACTION
-        ends.append(sign * float(np.median(outward[outermost])) if saturated else None)
-    far = UNLIMITED * max(float(np.abs(measured).max()), 1e-6)
-    low, high = ends
+    low, high = (_end_of_range(runs, sign, 4.0 * max(noise, 1e-12)) for sign in (-1.0, 1.0))
+    far = UNLIMITED * max(max(float(np.abs(run).max()) for run in runs), 1e-6)
     choices = [(low, None), (None, high), (low, high)]
     return [
         {"low": -far if a is None else a, "high": far if b is None else b}
         for a, b in dict.fromkeys(choices)
         if not (a is None and b is None)
     ]
+
+
+def _end_of_range(runs: Sequence[Array], sign: float, width: float) -> float | None:
+    """Return the outermost value in one direction, m or rad, if many measurements are equal to it, else None.
+
+    Args:
+        runs: Measurements of each run, m or rad, shapes (m,).
+        sign: Direction, 1 or -1.
+        width: Difference that counts as equal, m or rad.
+    """
+    tops = [float(np.percentile(sign * run, _TOP_PERCENTILE)) for run in runs]
+    least = max(tops) - width
+    reaching = np.concatenate([sign * run for run, top in zip(runs, tops, strict=True) if top > least])
+    outermost = reaching[reaching > least]
+    return sign * float(np.median(outermost)) if len(outermost) > _END_FRACTION * len(reaching) else None
 
 
 EFFECT = Effect(

@@ -384,13 +384,13 @@ class Dataset:
         """Divide the data set into data sets of one run each."""
         return tuple(dataclasses.replace(self, runs=(run,)) for run in self.runs)
 
-    def measured_values(self, sensor: int) -> Array:
-        """Return all measurements of a sensor, given its index, minus its zero, m or rad, shape (m,).
+    def measured_values(self, sensor: int) -> tuple[Array, ...]:
+        """Return each run's measurements of a sensor, given its index, minus its zero, m or rad, shapes (m,).
 
         Rows in which the sensor did not measure are left out.
         """
-        values = np.concatenate([run.outputs[:, sensor] for run in self.runs])
-        return values[np.isfinite(values)]
+        values = (run.outputs[:, sensor] for run in self.runs)
+        return tuple(of_run[np.isfinite(of_run)] for of_run in values)
 
 
 def with_known_positions(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:

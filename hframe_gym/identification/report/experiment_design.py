@@ -268,7 +268,7 @@ def _travel(machine: Machine, data: Dataset) -> tuple[Array, Array]:
         if coordinate.range is not None:
             low[i], high[i] = coordinate.range
         elif not machine.belts:
-            values = data.measured_values(j)
+            values = np.concatenate(data.measured_values(j))
             span = float(np.ptp(values)) / abs(sensor.row[sensor.coordinate]) if len(values) else 0.0
             low[i], high[i] = -span / 2, span / 2
     return low, high

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -98,12 +99,23 @@ def test_a_range_starts_from_ends_at_which_many_measurements_lie(
     starts = EFFECTS["sensor_range"].starting_values
     assert starts is not None
     measured = np.clip(np.linspace(-1.0, 1.0, 5001), low, high)
-    found = [(values["low"], values["high"]) for values in starts(measured, 1e-5)]
+    found = [(values["low"], values["high"]) for values in starts([measured], 1e-5)]
     assert [(abs(a) < 1.0, abs(b) < 1.0) for a, b in found] == expected
     for a, b in found:
         assert a in (pytest.approx(low), pytest.approx(-10.0 * abs(measured).max()))
         assert b in (pytest.approx(high), pytest.approx(10.0 * abs(measured).max()))
-    assert starts(np.zeros(0), 1e-5) == []
+    assert starts([np.zeros(0)], 1e-5) == []
+
+
+@pytest.mark.parametrize("others", [0, 6])
+def test_runs_that_do_not_reach_an_end_do_not_hide_it(others: int) -> None:
+    """One of seven runs reaches it, in 2 % of its rows, which are 0.3 % of all."""
+    starts = EFFECTS["sensor_range"].starting_values
+    assert starts is not None
+    position = np.sin(np.linspace(0.0, 20.0, 2001))
+    reaching = np.minimum(position, np.percentile(position, 98.0))
+    found = starts([*[0.5 * position] * others, reaching], 1e-5)
+    assert [values["high"] for values in found] == [pytest.approx(reaching.max())]
 
 
 def test_an_effect_may_bring_starting_values_of_its_own() -> None:
@@ -111,9 +123,9 @@ def test_an_effect_may_bring_starting_values_of_its_own() -> None:
     data = axis_runs(AXIS, rows=1000, volts=6.0)
     noises: list[float] = []
 
-    def from_largest(measured: np.ndarray, noise: float) -> list[dict[str, float]]:
+    def from_largest(measured: Sequence[np.ndarray], noise: float) -> list[dict[str, float]]:
         noises.append(noise)
-        return [{"low": -1.0, "high": float(measured.max())}]
+        return [{"low": -1.0, "high": max(float(run.max()) for run in measured)}]
 
     effect = dataclasses.replace(EFFECTS["sensor_range"], name="own_range", starting_values=from_largest)
     register_effect(effect)
@@ -124,7 +136,7 @@ def test_an_effect_may_bring_starting_values_of_its_own() -> None:
     finally:
         unregister_effect("own_range")
     [own] = [c for c in proposed if c.effect is effect]
-    assert own.columns[0] == {"low": -1.0, "high": data.measured_values(0).max()}
+    assert own.columns[0] == {"low": -1.0, "high": max(run.max() for run in data.measured_values(0))}
     assert noises == [data.noise[0]]
 
 
