@@ -22,12 +22,16 @@ _ROW_ENDS = ";,|\t"  # separators that may end each row although other separator
 _MOST = 0.5  # fraction of the rows of numbers that have such an end; their last one may be incomplete
 # Beginning of a row of numbers.
 _ROW_START = re.compile(rf"[ \t]*\"?(?:[+-]?[.,]?\d|(?:nan|{MISSING_WORDS})\b)", re.IGNORECASE)
-# Name before a number, as for Arduino's serial plotter: "speed:1.5". The "e" of "1e-3" begins none.
-_LABEL = re.compile(r"(?<![\w.])(?!(?:nan|inf)\b)[^\W\d][^:;,|\t\n]{0,40}:[ \t]*")
+# Name before a number, as for Arduino's serial plotter: "speed:1.5", "speed=1.5". The "e" of "1e-3" begins
+# none.
+_LABEL = re.compile(r"(?<![\w.])(?!(?:nan|inf)\b)[^\W\d][^:=;,|\t\n]{0,40}[:=][ \t]*")
 # Between time stamp and text in Arduino's serial monitor.
 _ARROW = re.compile(r"(?m)^(\d\d:\d\d:\d\d\.\d+) -> ")
-# Brackets around a matrix, as ECP's programs write it.
-_BRACKET = re.compile(r"(?m)^[ \t]*\[(?=[ \t]*[-+.\d])|(?<=\d)[ \t]*\](?=[ \t]*[;,]?[ \t]*$)")
+# Brackets around a matrix, as ECP's programs write it, or around each row, perhaps after one name for all of
+# its numbers ("log=[1.0, 2.0]") and after the arrow of the serial monitor.
+_OPENING = r"(?:^|(?<=\d -> ))[ \t]*(?:[^\W\d]\w{0,40}[ \t]*[:=][ \t]*)?\[(?=[ \t]*[-+.\d])"
+_OPENS = re.compile(_OPENING)
+_BRACKET = re.compile(rf"(?m){_OPENING}|(?<=\d)[ \t]*\](?=[ \t]*[;,]?[ \t]*$)")
 # Row between two equal letters, as SimpleFOC's monitor writes it.
 _ENCLOSED = re.compile(r"(?P<letter>[A-Za-z])[-+.\d][-+.\d\t]*\d(?P=letter)[ \t]*")
 
@@ -41,7 +45,7 @@ def find_edits(lines: Sequence[str]) -> tuple[list[tuple[re.Pattern[str], str]],
     rows = [line.rstrip(" ") for line in lines if not is_comment(line) and any(map(str.isdigit, line))]
     edits: list[tuple[re.Pattern[str], str]] = []
     remarks = []
-    if any(map(_BRACKET.match, rows)):
+    if any(map(_OPENS.search, rows)):
         edits.append((_BRACKET, ""))
         remarks.append("brackets enclose the rows")
         rows = [_BRACKET.sub("", row) for row in rows]
@@ -79,7 +83,7 @@ def _enclosing_letter(rows: Sequence[str]) -> str:
 def _labels(rows: Sequence[str], lines: Sequence[str]) -> tuple[re.Pattern[str], list[str]]:
     """Return the pattern and the names of texts before the numbers of all last rows; none if a row differs.
 
-    A colon follows a name ("speed:1.5"), or, if no line is a header, the separator of the cells
+    A colon or an equals sign follows a name ("speed:1.5"), or, if no line is a header, the separator of the cells
     ("speed,1.5,x,0.2").
     """
     for last in (rows[-CONSECUTIVE:], rows[-CONSECUTIVE - 1 : -1]):  # the last row may be incomplete
@@ -107,7 +111,7 @@ def _labels_in_cells(rows: Sequence[str], separator: str) -> list[str]:
 
 def _labels_with_colon(rows: Sequence[str]) -> list[str]:
     """Return the names with a colon that stand before the numbers of all rows; none if a row has others."""
-    names = [[match[0].rstrip(": \t").strip() for match in _LABEL.finditer(row)] for row in rows]
+    names = [[match[0].rstrip(":= \t") for match in _LABEL.finditer(row)] for row in rows]
     alike = all(of_row == names[0] for of_row in names)
     found = alike and all(
         _is_number_per_label(row, len(of_row)) for row, of_row in zip(rows, names, strict=True)

@@ -106,6 +106,22 @@ DIALECTS = {
     "serial plotter, blanks": Dialect(
         plotted(" ", ": "), ("t", "u", "x"), ("", "", ""), "name of its column"
     ),
+    "names with equals signs": Dialect(plotted(" ", "="), ("t", "u", "x"), ("", "", ""), "name of its column"),
+    "names with blanks around equals signs": Dialect(
+        plotted(", ", " = "), ("t", "u", "x"), ("", "", ""), "name of its column"
+    ),
+    "lists": Dialect(
+        "".join(f"[{row}]\n" for row in rows(" ").splitlines()),
+        ("#1", "#2", "#3"),
+        ("", "", ""),
+        "brackets enclose the rows",
+    ),
+    "lists after a name": Dialect(
+        "Ready\n" + "".join(f"log=[{row}]\n" for row in rows(", ").splitlines()),
+        ("#1", "#2", "#3"),
+        ("", "", ""),
+        "brackets enclose the rows",
+    ),
     "MATLAB": Dialect("% time u x\n" + rows("   ", "{: .7e}"), ("time", "u", "x"), ("", "", "")),
     "NumPy": Dialect("# t [s], u [V], x [mm]\n" + rows(" ", "{:.9e}"), ("t", "u", "x"), ("s", "V", "mm")),
     "LabVIEW": Dialect(LABVIEW + rows("\t"), ("X_Value", "Voltage", "Position"), ("", "", "")),
@@ -316,6 +332,17 @@ def test_the_serial_monitor_puts_an_arrow_after_its_time_stamps(tmp_path: Path) 
     )
     log = opened(tmp_path, text)
     assert [column.kind for column in log.columns] == ["stamp", "number", "number"]
+    stamps, voltage, position = log.read(log.columns)[0]
+    np.testing.assert_allclose((stamps - stamps[0]) / np.timedelta64(1, "s"), TIME)
+    np.testing.assert_array_equal(voltage, VOLTAGE)
+    np.testing.assert_allclose(position, POSITION)
+
+
+def test_lists_after_a_name_and_an_arrow_keep_their_time_stamps(tmp_path: Path) -> None:
+    text = "".join(
+        f"12:00:{t:06.3f} -> log=[{u:.2f},{x:.7f}]\n" for t, u, x in zip(TIME, VOLTAGE, POSITION, strict=True)
+    )
+    log = opened(tmp_path, text)
     stamps, voltage, position = log.read(log.columns)[0]
     np.testing.assert_allclose((stamps - stamps[0]) / np.timedelta64(1, "s"), TIME)
     np.testing.assert_array_equal(voltage, VOLTAGE)
