@@ -190,6 +190,8 @@ def evaluate(
         console.print(score_table(scores))
         for reason in unknown_bound_reasons(scores):
             log(reason)
+        if note := _design_note(declared):
+            log(note)
         for file in _write_evaluation(
             out, scores, recorded, warned if html else None, declared, machine, motions
         ):
@@ -197,6 +199,18 @@ def evaluate(
     with_agents = any(name not in CONTROLLERS for name in scores["controllers"])
     if not with_agents and (proposal := training_proposal(machine, task, randomize, period)):
         log(proposal)
+
+
+def _design_note(machine: Machine) -> str:
+    """Return what designs of the package's controllers leave out of a machine, or an empty text."""
+    from ..machine import effects_left_out
+
+    labels = " and ".join(effect.label for effect in effects_left_out(machine))
+    if not labels:
+        return ""
+    return (
+        f"controllers are designed without {labels}: no sensor measures what moves there; simulations have it"
+    )
 
 
 def _evaluate_all(

@@ -84,6 +84,32 @@ def structure(machine: Machine, effect: AppliedEffect) -> Machine:
     return machine.with_components(motor, load, *belts, contact, ties=ties)
 
 
+def rigid(machine: Machine, effect: AppliedEffect) -> Machine:
+    """Return the machine without the gap: the load turns with its motor, and the belts run on the motor."""
+    near, far, teeth = _names(machine, effect.site)
+    motor, load = machine.coordinate(near), machine.coordinate(far)
+    whole = dataclasses.replace(
+        motor,
+        mass=motor.mass + load.mass,
+        coulomb=motor.coulomb + load.coulomb,
+        viscous=motor.viscous + load.viscous,
+    )
+
+    def before(row: Mapping[str, float]) -> dict[str, float]:
+        return {near if name == far else name: factor for name, factor in row.items()}
+
+    return dataclasses.replace(
+        machine,
+        coordinates=tuple(whole if c.name == near else c for c in machine.coordinates if c.name != far),
+        belts=tuple(
+            dataclasses.replace(b, extension=before(b.extension), length=before(b.length))
+            for b in machine.belts
+            if b.name != teeth
+        ),
+        ties={key: tie for key, tie in machine.ties.items() if key.rpartition(".")[0] not in (far, teeth)},
+    )
+
+
 EFFECT = Effect(
     name="gear_backlash",
     site="motor",
@@ -94,6 +120,7 @@ EFFECT = Effect(
     source="Nordin and Gutman 2002, Automatica 38(10), the dead-zone model",
     tension=tension,
     structure=structure,
+    rigid=rigid,
     fits_site=fits_site,
     impacts=True,
     parameters=(

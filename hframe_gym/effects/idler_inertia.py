@@ -8,6 +8,7 @@ equal.
 
 import dataclasses
 import itertools
+from collections.abc import Sequence
 
 from ..machine import AppliedEffect, Belt, Coordinate, Effect, EffectParameter, Machine, Row
 from ..machine.presets import SECTIONS
@@ -37,6 +38,7 @@ _ROWS: dict[str, Row] = {
     "right": {"x": 1, "y": -1, "phi2": -1},
     "bottom": {"x": -2, "phi1": -1, "phi2": 1},
 }
+_LENGTH = ".rest_length"  # end of the names of parameters that ties connect
 _SIDES = (("left", "phi1", (3, 5, 7)), ("right", "phi2", (4, 6, 8)))
 
 
@@ -124,12 +126,60 @@ def _without(c: Coordinate, mass: float, friction: float) -> Coordinate:
     )
 
 
+def rigid(machine: Machine, effect: AppliedEffect) -> Machine:
+    """Return the machine of 8th order: belts in one piece, the idlers lumped into motors and cart."""
+    idlers = {f"phi{i}" for *_, numbers in _SIDES for i in numbers}
+    owner = {  # belt by each of its sections but the first, which has the belt's name
+        tied.removesuffix(_LENGTH): belt.removesuffix(_LENGTH)
+        for tied, (belt, _) in machine.ties.items()
+        if tied.endswith(_LENGTH)
+    }
+    pieces: dict[str, list[Belt]] = {}
+    for b in machine.belts:
+        pieces.setdefault(owner.get(b.name, b.name), []).append(b)
+
+    def total(rows: Sequence[Row]) -> dict[str, float]:
+        sums = {name: sum(row.get(name, 0.0) for row in rows) for name in machine.coordinate_names}
+        return {name: factor for name, factor in sums.items() if factor}
+
+    whole = dataclasses.replace(
+        machine,
+        coordinates=tuple(c for c in machine.coordinates if c.name not in idlers),
+        belts=tuple(
+            dataclasses.replace(
+                of_belt[0],
+                rest_length=sum(b.rest_length for b in of_belt),
+                extension=total([b.extension for b in of_belt]),
+                length=total([b.length for b in of_belt]),
+            )
+            for of_belt in pieces.values()
+        ),
+        ties={
+            key: tie for key, tie in machine.ties.items() if key.rpartition(".")[0] not in {*idlers, *owner}
+        },
+    )
+    roles = _roles(whole)
+    lumped = {name: whole.coordinate(roles[name]) for name in ("phi1", "phi2", "y")}
+    for _, motor, numbers in _SIDES:
+        idler = machine.coordinate(f"phi{numbers[0]}")
+        lumped[motor] = _with(lumped[motor], idler.mass, idler.viscous)
+        per_travel = 2.0 / idler.radius**2
+        lumped["y"] = _with(lumped["y"], per_travel * idler.mass, per_travel * idler.viscous)
+    return whole.with_components(*lumped.values())
+
+
+def _with(c: Coordinate, mass: float, friction: float) -> Coordinate:
+    """Return a coordinate with what the 8th-order model lumps into it."""
+    return dataclasses.replace(c, mass=c.mass + mass, viscous=c.viscous + friction)
+
+
 EFFECT = Effect(
     name="idler_inertia",
     site="machine",
     formula="J phi_i'' + B phi_i' = r (T_before - T_after), i = 3..8",
     source="Sollmann et al., eq. 25-34 with errata",
     structure=structure,
+    rigid=rigid,
     fits=fits,
     parameters=(
         EffectParameter("J_left", "kg m^2", 2e-6, 1.0, scale=1e-5, grid=(2e-5, 5.6e-5)),

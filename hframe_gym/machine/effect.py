@@ -220,8 +220,9 @@ class Effect:
         refitted: Whether other parameter values of the machine have the same influence; a search then omits
             the effect, unless an effect of all drives changes the same voltage after it.
         against: Variable `u` of a tabulated effect: "position of y", "velocity of y", "path of y" or "time".
-        rigid: Function (machine without the added coordinate, applied effect) -> machine that returns to the
-            site what `structure` took from it, for controllers (`rigid_counterpart`). Default: nothing.
+        rigid: Function (machine without the added `coordinate`, applied effect) -> machine that returns to
+            the site what `structure` took from it, and removes its other coordinates and belts, for
+            controllers (`rigid_counterpart`). Default: nothing.
         coordinate: Name of the coordinate that `structure` adds, on which `force` acts, with "{site}" for
             that of the component; empty if none.
         belt: Name of the belt section that `structure` adds, on which alone `tension` acts; "{site}" stands

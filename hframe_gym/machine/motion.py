@@ -41,20 +41,22 @@ def pulley_names(machine: Machine) -> tuple[str, ...]:
 def rigid_counterpart(machine: Machine, *, with_slow_loads: bool = False) -> Machine:
     """Return the simplified machine for which controllers are designed: without coordinates that effects add.
 
-    A bridge does not yaw, a payload does not swing, the frame that carries a sensor rests: no sensor measures
-    these coordinates, and a controller does not act against the vibration that they cause. The effects that
-    add them are left out with their parameters; a machine without such effects is returned as it is. A load
-    that is left out moves with its carriage, unless it is slow (`slow_loads`): then the carriage moves alone.
-    Added coordinates that no spring holds, such as idlers or the pulley behind a gear's gap, remain.
+    A bridge does not yaw, a payload does not swing, the frame that carries a sensor rests, idlers have no
+    inertia of their own, a gear has no gap: no sensor measures these coordinates, and a controller does not
+    act against the vibration that they cause. The effects that add them are left out with their parameters; a
+    machine without such effects is returned as it is. A load that is left out moves with its carriage, unless
+    it is slow (`slow_loads`): then the carriage moves alone. A load behind a gap that is itself the axis of
+    the tool remains: the controller moves it through the teeth.
 
     Args:
         with_slow_loads: Whether slow loads remain in the machine; a state estimator needs them.
     """
     slow = slow_loads(machine)
-    left_out = tuple(e for e in machine.effects if e.coordinate and not (with_slow_loads and e in slow))
+    left_out = tuple(e for e in effects_left_out(machine) if not (with_slow_loads and e in slow))
     if not left_out:
         return machine
-    names, labels = {e.coordinate for e in left_out}, {e.label for e in left_out}
+    names = {e.coordinate for e in left_out if e.coordinate}
+    labels = {e.label for e in left_out}
 
     def kept(row: Mapping[str, float]) -> dict[str, float]:
         return {key: factor for key, factor in row.items() if names.isdisjoint(key.split("*"))}
@@ -70,10 +72,22 @@ def rigid_counterpart(machine: Machine, *, with_slow_loads: bool = False) -> Mac
         ties={key: tie for key, tie in machine.ties.items() if key.partition(".")[0] not in names},
         uncertainty=_without(machine.uncertainty, labels),
     )
-    for effect in left_out:
+    for effect in reversed(left_out):  # the last one has changed the structure last
         if effect.definition.rigid and effect not in slow:
             rigid = effect.definition.rigid(rigid, effect)
     return rigid
+
+
+def effects_left_out(machine: Machine) -> tuple[AppliedEffect, ...]:
+    """Return the effects whose added coordinates the model of a controller lacks (`rigid_counterpart`)."""
+    added = (e for e in machine.effects if e.coordinate or e.definition.rigid)
+    return tuple(e for e in added if not _moves_tool(machine, e))
+
+
+def _moves_tool(machine: Machine, effect: AppliedEffect) -> bool:
+    """Return whether the coordinate behind an effect's contact is an axis of the tool."""
+    contact = next((b for b in machine.belts if b.name == effect.added_belt), None)
+    return contact is not None and not set(machine.tool_axes).isdisjoint(contact.extension)
 
 
 def slow_loads(machine: Machine) -> tuple[AppliedEffect, ...]:

@@ -18,9 +18,11 @@ from hframe_gym import agents
 from hframe_gym.cli.control_commands import training_proposal
 from hframe_gym.cli.options import CONTROL_PERIOD
 from hframe_gym.controllers import CONTROLLERS, ModelBasedController
+from hframe_gym.effects import EFFECTS
 from hframe_gym.envs import TASKS, EnvConfig
 from hframe_gym.evaluation import file_labels
 from hframe_gym.machine import Machine
+from hframe_gym.recordings import save_machine
 from hframe_gym.registry import load_plugins
 from tests.cli.running import Command, assert_refused
 
@@ -56,6 +58,17 @@ def test_evaluate_refuses_wrong_options_in_one_line(
 ) -> None:
     assert_refused(hframe_command("evaluate", *options, "--out", tmp_path / "out"), *fragments)
     assert not (tmp_path / "out").exists()
+
+
+def test_evaluate_says_which_effects_the_design_leaves_out(
+    hframe_command: Command, hframe: Machine, tmp_path: Path
+) -> None:
+    gap = EFFECTS["gear_backlash"].at("motor1", d=2e-3, J=4e-5, F=0.02, B=1e-4, K=280.0, Z=0.1)
+    save_machine(hframe.with_effects(gap), tmp_path / "machine.json")
+    options = ("--machine", tmp_path / "machine.json", "--episodes", 2, "--out", tmp_path / "out")
+    code, out, _ = hframe_command("evaluate", "pid", *options)
+    assert code == 0
+    assert "designed without gear_backlash@motor1" in out
 
 
 def test_evaluate_by_protocol_writes_a_result_file_per_controller(

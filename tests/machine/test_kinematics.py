@@ -14,6 +14,7 @@ from hframe_gym.machine import (
     Belt,
     Machine,
     Uncertainty,
+    effects_left_out,
     rest_positions_per_axis,
     rest_state,
     rigid_counterpart,
@@ -93,6 +94,8 @@ def test_a_spring_loaded_coordinate_has_no_part_in_rigid_motions(hframe: Machine
         ("bridge_yaw", "machine", {"J": 0.1, "k": 2e3, "c": 1.0, "w": 0.25}),
         ("frame_resonance", "x", {"f0": 20.0, "zeta": 0.03, "r": 0.1, "s": 0.0}),
         ("payload_swing", "y", {"f0": 8.0, "zeta": 0.05, "r": 0.3}),
+        ("gear_backlash", "motor2", {"d": 2e-3, "J": 4e-5, "F": 0.02, "B": 1e-4, "K": 300.0, "Z": 0.1}),
+        ("idler_inertia", "machine", {"J_left": 2e-5, "J_right": 3e-5, "B_left": 1e-4, "B_right": 2e-4}),
     ],
 )
 def test_controllers_know_the_machine_whose_added_parts_do_not_move(hframe, name, site, values):
@@ -106,6 +109,17 @@ def test_controllers_know_the_machine_whose_added_parts_do_not_move(hframe, name
     assert dataclasses.replace(rigid, uncertainty=None).shape == machine.shape
     np.testing.assert_allclose(MotionModel(flexible).mass, MotionModel(machine).mass)
     assert rigid_counterpart(machine) is machine
+    assert [effect.name for effect in effects_left_out(flexible)] == [name]
+
+
+def test_structures_within_structures_are_left_out_as_well(hframe: Machine) -> None:
+    """The belts of a machine with idlers run on the pulleys behind the gaps of both gears."""
+    gap = {"d": 2e-3, "J": 4e-5, "F": 0.02, "B": 1e-4, "K": 300.0, "Z": 0.1}
+    idlers = EFFECTS["idler_inertia"].at("machine", J_left=2e-5, J_right=3e-5, B_left=1e-4, B_right=2e-4)
+    gaps = [EFFECTS["gear_backlash"].at(motor, **gap) for motor in ("motor1", "motor2")]
+    rigid = rigid_counterpart(hframe.with_effects(idlers, *gaps))
+    assert rigid.parameters == pytest.approx(hframe.parameters)
+    assert rigid.shape == hframe.shape
 
 
 def test_controllers_know_the_carriage_alone_under_a_slow_load(hframe):
