@@ -179,7 +179,7 @@ class EnvironmentBatch:
         self.simulator.reset(index, position if start is None else start, values, motion)
         self.observations.begin(index, keys, values, self.sampler, self.elapsed)
         if self.rewards.compares_steps:
-            observation = self._blank()
+            observation = self.blank()
             self._write_rows(index, observation)
             self.rewards.begin(index, observation)
         self._was_reset = True
@@ -212,23 +212,21 @@ class EnvironmentBatch:
         contour = np.empty(count) if self._has_path else None
         return StepResult(np.empty(count), np.zeros(count, np.bool_), np.empty(count), contour)
 
-    def step(self, actions: NDArray[Any], result: StepResult) -> Observation:
+    def step(self, actions: NDArray[Any], observation: Observation, result: StepResult) -> None:
         """Advance all environments by one control period.
 
         Args:
             actions: Voltages as fractions of the rated voltages, shape (count, drives), as `check_actions`
                 returns them.
-            result: Output: rewards, terminations, and distances to goal and path; its arrays are overwritten.
-
-        Returns:
-            Observations after the step: new arrays, SI, shape (count, entries of the key).
+            observation: Output, observations after the step, in arrays that hold the goals already if they
+                do not move: those of `blank`, or of `observe` after the last reset.
+            result: Output: rewards, terminations, and distances to goal and path.
 
         Raises:
             NotFiniteError: If a position or velocity is not finite; the message names the environment.
         """
         self.references.advance()
         self.simulator.begin_period()
-        observation = self._blank()
         tool = self.observations.tool_array(observation)
         if self.count < _COUNT_FOR_THREADS:
             broken = self._advance_blocks(actions, observation, tool, result, 0, self.simulator.blocks)
@@ -246,7 +244,6 @@ class EnvironmentBatch:
             result.reward[:] = self.rewards.of_step(observation)
         if self._ends:
             result.terminated[:] = outside_workspace(observation["achieved_goal"], self._edges)
-        return observation
 
     def _advance_in_threads(
         self, actions: NDArray[Any], observation: Observation, tool: NDArray[np.float32], result: StepResult
@@ -307,13 +304,13 @@ class EnvironmentBatch:
         if result.contour is not None:
             result.contour[index] = self.contour(index)
 
-    def observe(self) -> Observation:
-        """Compute all present observations: new arrays, SI, shape (count, entries of the key).
+    def observe(self, observation: Observation | None = None) -> Observation:
+        """Compute all present observations, SI, shape (count, entries of the key); by default, new arrays.
 
         They contain the true states or, with the option `sensors`, the measurements of the last step or
         reset. The options `normalize` and `flat` are not applied.
         """
-        observation = self._blank()
+        observation = self.blank() if observation is None else observation
         self._write_rows(np.arange(self.count), observation)
         return observation
 
@@ -325,8 +322,12 @@ class EnvironmentBatch:
             self.observations.write(first, last, observation, tool)
         return tool
 
-    def _blank(self) -> Observation:
-        """Allocate observations of all environments, with keys in the order of the observation space."""
+    def blank(self) -> Observation:
+        """Allocate arrays for `step`, by key in the order of the observation space.
+
+        They have the shape (count, entries of the key) and are not initialized, except for goals that do not
+        move.
+        """
         observation = self._no_arrays.copy()
         self.observations.add_blank(observation)
         self.references.add_blank(observation)

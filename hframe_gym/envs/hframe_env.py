@@ -134,7 +134,9 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
         self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / self.batch.config.period))}  # type: ignore[misc]
         self.observation_space = self.batch.format.space  # type: ignore[assignment]
         self.action_space = action_space(self.batch.machine)  # type: ignore[assignment]
-        self._result = self.batch.result()  # the arrays of all steps
+        # All steps write to the same arrays, and observations are copies of their rows.
+        self._arrays, self._result = self.batch.blank(), self.batch.result()
+        self._rows = _only_rows(self._arrays)
         self._parameters: dict[str, float] = {}  # those that are randomized, in this episode
         self._seeded_by: np.random.Generator | None = None
         self._formats = self.batch.format.active  # a step looks nothing up that it does not need
@@ -165,7 +167,8 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
             self.batch.sampler.seed(0, self.np_random)
         self.batch.reset(_ONLY, **keywords)
         self._parameters = {name: value.item() for name, value in self.batch.randomized(_ONLY).items()}
-        observation = self._first(self.batch.observe())
+        self.batch.observe(self._arrays)
+        observation = self._observation()
         info = self._info(self.batch.distance(_ONLY).item(), self.batch.contour(_ONLY))
         self._trail.clear()
         if self.render_mode is not None:
@@ -186,7 +189,8 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
         """
         batch, result = self.batch, self._result
         checked = batch.check_actions(np.asarray(action)[None], single=True)
-        observation = self._first(batch.step(checked, result))
+        batch.step(checked, self._arrays, result)
+        observation = self._observation()
         if self.render_mode is not None:
             self._update_picture()
         info = self._info(result.distance.item(), result.contour)
@@ -216,18 +220,21 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
         else:
             self.np_random.bit_generator.state = state["generator"]
         self._seeded_by = self._np_random if state["seeded"] else None
+        self.batch.observe(self._arrays)
         self._parameters = {name: value.item() for name, value in self.batch.randomized(_ONLY).items()}
         self._trail = deque(state["trail"], maxlen=TRAIL_LENGTH)
 
-    def _first(self, observation: Observation) -> Any:
-        """Return the observation of the only environment in the form of `normalize`, `flat` and `error`."""
+    def _observation(self) -> Any:
+        """Copy the present observation, in the form of `normalize`, `flat` and `error`."""
+        rows = self._rows
         if self._formats:
-            formatted = self.batch.format.apply(observation)
+            formatted = self.batch.format.apply(self._arrays)
             if not isinstance(formatted, dict):
                 return formatted[0]
-            observation = formatted
-        for key, values in observation.items():
-            observation[key] = values[0]
+            rows = _only_rows(formatted)
+        observation = {}
+        for key, row in rows.items():  # faster than a comprehension
+            observation[key] = row.copy()
         return observation
 
     def _info(self, distance: float, contour: NDArray[np.float64] | None) -> dict[str, Any]:
@@ -279,6 +286,15 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
     def __getstate__(self) -> dict[str, Any]:
         # A window belongs to its process. A copy opens another one.
         return {**self.__dict__, "_renderer": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._rows = _only_rows(self._arrays)  # a copied row is no part of the copied array
+
+
+def _only_rows(observation: Observation) -> Observation:
+    """Return the observation, shape (entries,), of the only environment, as views of arrays (1, entries)."""
+    return {key: values[0] for key, values in observation.items()}
 
 
 class HFrameTrackEnv(HFrameEnv):

@@ -197,13 +197,13 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
             NotFiniteError: If a position or velocity is not finite (simulation diverged).
         """
         checked = self.batch.check_actions(actions)
-        resetting = np.flatnonzero(self._over)
+        resetting = self._over.nonzero()[0]
         if self.autoreset_mode is AutoresetMode.DISABLED and len(resetting):
             raise RuntimeError(
                 f"the episode of environment {resetting[0]} is over; reset it with options['reset_mask']"
             )
-        result = self.batch.result()
-        observation = self.batch.step(checked, result)
+        observation, result = self.batch.blank(), self.batch.result()
+        self.batch.step(checked, observation, result)
         limit = np.inf if self.max_episode_steps is None else self.max_episode_steps
         terminated, truncated = result.terminated, self.batch.elapsed >= limit
         info: dict[str, Any] = {}
@@ -379,13 +379,14 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
 
 def _add_columns(info: dict[str, Any], columns: dict[str, Any], mask: Flags | None, count: int) -> None:
     """Add columns (count,) and their masks to an info, zero where the mask is False; mask None: all True."""
+    present = np.ones(count, np.bool_) if mask is None else mask
     for key, values in columns.items():
         info[key] = (
             values
             if mask is None
             else np.where(mask.reshape(-1, *[1] * (values.ndim - 1)), values, values.dtype.type(0))
         )
-        info[f"_{key}"] = np.ones(count, np.bool_) if mask is None else mask.copy()
+        info[f"_{key}"] = present.copy()
 
 
 class HFrameTrackVectorEnv(HFrameVectorEnv):

@@ -1,5 +1,6 @@
 """The single environment: interface, determinism, messages of invalid arguments."""
 
+import copy
 import dataclasses
 
 import gymnasium as gym
@@ -21,6 +22,7 @@ from hframe_gym.envs import (
 )
 from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES
+from tests.envs.test_copies import assert_equal
 
 FULL = np.array([1.0, -0.3], np.float32)
 
@@ -57,6 +59,22 @@ def test_keys_have_the_order_of_the_space(name, normalize, error):
         np.testing.assert_array_equal(
             joined.observation(observation), np.concatenate(list(observation.values()))
         )
+
+
+@pytest.mark.parametrize("flat", [False, True])
+@pytest.mark.parametrize("normalize", [False, True])
+@pytest.mark.parametrize("error", [False, True])
+@pytest.mark.parametrize("sensors", ["state", "rig"])
+@pytest.mark.parametrize("name", ["HFrame-v0", "HFrameTrack-v0"])
+def test_an_observation_keeps_its_values_in_later_steps(name, sensors, error, normalize, flat):
+    """The steps share arrays, but no observation does: replay buffers keep what they are given."""
+    env = gym.make(name, sensors=sensors, error=error, normalize=normalize, flat=flat).unwrapped
+    results = [env.reset(seed=1), env.step(FULL)[::4], env.step(-FULL)[::4], env.reset()]
+    kept = copy.deepcopy(results)
+    for _ in range(3):
+        env.step(FULL)
+    env.reset()
+    assert_equal(tuple(map(tuple, results)), tuple(map(tuple, kept)))
 
 
 def test_entries_describe_the_observation():

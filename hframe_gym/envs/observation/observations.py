@@ -126,19 +126,10 @@ class ObservationBuilder:
         self, first: int, last: int, view: StateView, out: NDArray[np.float32], tool: NDArray[np.float32]
     ) -> int:
         """Write a view to `out`, the tool position to `tool`; return one with a non-finite state, or -1."""
-        broken: int = _observe(*self._inputs(view), first, last, out, tool)
+        simulator, function = self._simulator, view.program.addresses["observe"]
+        state, units = simulator.state, simulator.units_per_travel
+        broken: int = _observe(function, view.size, state, units, view.bounds, first, last, out, tool)
         return broken
-
-    def _inputs(self, view: StateView) -> tuple[int, int, Array, Array, Array]:
-        """Return the first arguments of `_observe`: the view's function and what it reads."""
-        simulator = self._simulator
-        return (
-            view.program.addresses["observe"],
-            view.size,
-            simulator.state,
-            simulator.units_per_travel,
-            view.bounds,
-        )
 
     def begin(
         self,
@@ -218,11 +209,24 @@ class ObservationBuilder:
         elif evaluation is None:
             broken = self._observe(first, last, self._state, observation["observation"], tool)
         else:  # one call for both: calls are most of a step of one environment
-            arrays = observation["observation"], tool, observation["desired_goal"]
+            view = self._state
             kind, band, meters, distance, reward = evaluation
-            inputs = self._inputs(self._state)
             broken = _observe_and_evaluate(
-                *inputs, first, last, *arrays, kind, band, meters, distance, reward
+                view.program.addresses["observe"],
+                view.size,
+                simulator.state,
+                simulator.units_per_travel,
+                view.bounds,
+                first,
+                last,
+                observation["observation"],
+                tool,
+                observation["desired_goal"],
+                kind,
+                band,
+                meters,
+                distance,
+                reward,
             )
         if self.privileged:
             rows = observation["privileged"]
