@@ -9,7 +9,6 @@ import numpy as np
 
 from ..identification import Dataset
 from ..machine import Machine
-from ..preparation.criteria import SaturationCriteria
 from ..preparation.dataset import runs_that_should_move, turns_steadily
 from ..preparation.division import copied_runs, short_runs
 from ..preparation.initial_rest import InitialRest, without_moving_start
@@ -149,7 +148,7 @@ def _prepared(
     """Return the runs without outliers, their rests, the runs prepared for a fit, and moving runs' names."""
     runs = [usable_run(recording, machine) for recording in recordings]
     cleaned, rests = [run.measured for run in runs], [run.rest for run in runs]
-    data, _ = prepare_within_ranges([run.usable for run in runs], machine, SaturationCriteria())
+    data, _ = prepare_within_ranges([run.usable for run in runs], machine)
     moving = [
         recording.name
         for recording in cleaned
@@ -212,7 +211,7 @@ def _position_checks(recordings: Sequence[Recording], data: Dataset, machine: Ma
         )
         recordings = [dataclasses.replace(r, outputs=r.outputs[:, of_position]) for r in recordings]
         usable = [without_moving_start(recording, machine) for recording in recordings]
-        positions, _ = prepare_within_ranges(usable, machine, SaturationCriteria())
+        positions, _ = prepare_within_ranges(usable, machine)
     stuck = stuck_outputs(recordings, machine)
     positions = _without_stuck_outputs(positions, stuck, machine)
     apart = check_travel_of_runs(positions, machine)

@@ -14,7 +14,7 @@ from .propose.screening import screen
 from .report.result import IdentificationResult
 from .report.written_result import write_result
 from .search.forward_selection import EffectSearch
-from .validate.recording_simulation import SimulatedRecording, initial_state_of_recording, simulate_recording
+from .validate.recording_simulation import SimulatedRecording, simulate_recording
 
 __all__ = [
     "MIN_ROWS",
@@ -36,7 +36,6 @@ __all__ = [
     "fit",
     "hold_out",
     "identify",
-    "initial_state_of_recording",
     "prepare",
     "screen",
     "simulate_recording",

@@ -88,7 +88,7 @@ def identify(
 
     # Prepare: which runs are fitted, and what of them can be used.
     held_names = divide_runs(recordings, held_out, machine)
-    session = prepare_session(recordings, machine, criteria, log)
+    session = prepare_session(recordings, machine, log)
     machine = session.machine
     all_runs, statements = _without_silent_runs(session, held_names, log)
 

@@ -12,20 +12,26 @@ from ..effects import EFFECTS
 from ..effects.sensor_range import UNLIMITED
 from ..machine import AppliedEffect, Machine
 from ..recordings import Recording
-from .criteria import SaturationCriteria
 
 Range = tuple[float, float]
 
+# Fraction of all rows that are near a sensor's largest (or smallest) measurement if its range ends there.
+_MIN_FRACTION = 0.01
+# Standard deviations of the noise that the encoders move in these rows: more than belts can stretch.
+_MIN_TRAVEL = 300.0
+_BAND = 8.0  # standard deviations of the noise: largest distance of measurements near the largest one
+_SECOND_END = 0.2  # factor of both minima at the other end of a sensor that saturates at one
+
 
 def saturation_ranges(
-    recordings: Sequence[Recording], machine: Machine, noise: SensorNoise, criteria: SaturationCriteria
+    recordings: Sequence[Recording], machine: Machine, noise: SensorNoise
 ) -> dict[str, Range]:
     """Find the lasers that saturate: they stay at the end of their measuring range while the machine moves.
 
     A laser is a sensor with a fixed zero. It saturates at its largest (or smallest) measurement if two
-    conditions hold, whose thresholds are those of the default `criteria`: at least 1 % of all rows are within
-    8 standard deviations of the noise from this measurement, and by the encoders, the laser's coordinate
-    moves in these rows by at least 300 standard deviations of the laser's noise. Without belts or encoders,
+    conditions hold: at least 1 % of all rows are within 8 standard deviations of the noise from this
+    measurement, and by the encoders, the laser's coordinate moves in these rows by at least 300 standard
+    deviations of the laser's noise. Without belts or encoders,
     nothing is found.
 
     Args:
@@ -45,12 +51,11 @@ def saturation_ranges(
         i = machine.coordinate_names.index(sensor.coordinate)
         channel = [r.outputs[:, j] for r in recordings]
         motion = [positions[:, i] for positions in positions_by_run]
-        ends = [_end(channel, motion, float(noise[j]), sign, 1.0, criteria) for sign in (-1.0, 1.0)]
+        ends = [_end(channel, motion, float(noise[j]), sign, 1.0) for sign in (-1.0, 1.0)]
         # A sensor that saturates at one end probably does so at the other as well; less evidence suffices
         # there.
         if any(end is not None for end in ends):
-            factor = criteria.second_end_factor
-            ends = [_end(channel, motion, float(noise[j]), sign, factor, criteria) for sign in (-1.0, 1.0)]
+            ends = [_end(channel, motion, float(noise[j]), sign, _SECOND_END) for sign in (-1.0, 1.0)]
             far = UNLIMITED * max(float(np.nanmax(np.abs(values), initial=0.0)) for values in channel)
             low, high = (
                 sign * far if end is None else end for sign, end in zip((-1.0, 1.0), ends, strict=True)
@@ -73,19 +78,14 @@ def _positions_from_encoders(recording: Recording, machine: Machine) -> Array:
 
 
 def _end(
-    channel: Sequence[Array],
-    motion: Sequence[Array],
-    noise: float,
-    sign: float,
-    factor: float,
-    criteria: SaturationCriteria,
+    channel: Sequence[Array], motion: Sequence[Array], noise: float, sign: float, factor: float
 ) -> float | None:
     """Return where a sensor saturates at the upper (1) or lower end (-1), or None; `factor` scales limits."""
     outward = sign * np.concatenate(channel)
     if not np.isfinite(outward).any():
         return None
-    outermost = outward > float(np.nanmax(outward)) - criteria.saturation_band * noise
-    if outermost.mean() < factor * criteria.min_saturated_fraction:
+    outermost = outward > float(np.nanmax(outward)) - _BAND * noise
+    if outermost.mean() < factor * _MIN_FRACTION:
         return None
     distance, first = 0.0, 0
     for positions in motion:
@@ -93,22 +93,18 @@ def _end(
         first += len(positions)
         if len(saturated) and np.isfinite(saturated).all():
             distance = max(distance, float(np.ptp(saturated)))
-    if distance < factor * criteria.min_saturated_travel * noise:
+    if distance < factor * _MIN_TRAVEL * noise:
         return None
     return sign * float(np.median(outward[outermost]))
 
 
 def blank_saturated(
-    recording: Recording,
-    ranges: Mapping[str, Range],
-    machine: Machine,
-    noise: SensorNoise,
-    criteria: SaturationCriteria,
+    recording: Recording, ranges: Mapping[str, Range], machine: Machine, noise: SensorNoise
 ) -> Recording:
     """Copy a recording, with NaN in place of saturated measurements.
 
     A measurement is saturated if it lies beyond an end of the sensor's range, or inside the range but closer
-    to an end than 4 standard deviations of the noise (half of `criteria.saturation_band`). Beside a saturated
+    to an end than 4 standard deviations of the noise. Beside a saturated
     row, 8 count instead of 4: of many saturated measurements, noise puts some further inside the range.
 
     Args:
@@ -118,7 +114,7 @@ def blank_saturated(
     outputs = recording.outputs.copy()
     for channel, (low, high) in ranges.items():
         j = machine.output_channels.index(channel)
-        band = criteria.saturation_band * noise[j]
+        band = _BAND * noise[j]
         # Distance from the nearer end, m; NaN: missing.
         inside = np.minimum(high - outputs[:, j], outputs[:, j] - low)
         saturated = inside < band / 2

@@ -15,7 +15,6 @@ from ..machine import Machine
 from ..recordings import Recording, fill_gaps, shared_wraps, without_shared_wraps
 from .clock_jitter import clock_jitter, noise_by_row
 from .clock_voltages import clock_voltages
-from .criteria import SaturationCriteria
 from .dataset import Dataset, PreparedRecording
 from .drive_signs import turned_coordinates, with_turned
 from .initial_state import measured_initial_state
@@ -57,15 +56,12 @@ class Session(NamedTuple):
     statements: tuple[str, ...] = ()
 
 
-def prepare_session(
-    recordings: Sequence[Recording], machine: Machine, criteria: SaturationCriteria, log: LineLog
-) -> Session:
+def prepare_session(recordings: Sequence[Recording], machine: Machine, log: LineLog) -> Session:
     """Prepare all runs of a session for a fit, and log what is not used.
 
     Args:
         recordings: Runs as logged.
         machine: Machine as declared.
-        criteria: Thresholds by which a sensor at the end of its range is recognized.
     """
     recordings, machine, statements = without_unmeasured_positions(recordings, machine)
     for statement in statements:
@@ -80,7 +76,7 @@ def prepare_session(
             count = len(before.time_s) - len(after.time_s)
             log(f"{before.name}: begins with its first measurement; rows not used: {count}")
     recordings = begun
-    session = _prepared(recordings, machine, criteria, log)._replace(statements=statements)
+    session = _prepared(recordings, machine, log)._replace(statements=statements)
     turned = turned_coordinates(machine, session.data.runs)
     if not turned:
         return session
@@ -88,16 +84,14 @@ def prepare_session(
     for statement in of_turned:
         log(statement)
     turned_machine = with_turned(machine, turned)
-    session = _prepared(recordings, turned_machine, criteria, log)
+    session = _prepared(recordings, turned_machine, log)
     return session._replace(statements=(*statements, *of_turned))
 
 
-def _prepared(
-    recordings: Sequence[Recording], machine: Machine, criteria: SaturationCriteria, log: LineLog
-) -> Session:
+def _prepared(recordings: Sequence[Recording], machine: Machine, log: LineLog) -> Session:
     """Prepare all runs of a session with the directions of the drives of this machine."""
     usable = [usable_run(recording, machine, log).usable for recording in recordings]
-    data, ranges = prepare_within_ranges(usable, machine, criteria)
+    data, ranges = prepare_within_ranges(usable, machine)
     if ranges:
         log(f"saturated at the end of the range: {', '.join(ranges)}")
     if data.jitter:
@@ -107,16 +101,14 @@ def _prepared(
     return Session(machine, recordings, usable, data, ranges)
 
 
-def prepare_within_ranges(
-    usable: Sequence[Recording], machine: Machine, criteria: SaturationCriteria
-) -> tuple[Dataset, dict[str, Range]]:
+def prepare_within_ranges(usable: Sequence[Recording], machine: Machine) -> tuple[Dataset, dict[str, Range]]:
     """Prepare recordings like `prepare`, without the measurements at the ends of the sensors' ranges.
 
     Returns:
         Data set, and the ranges of the sensors that saturate, as `without_saturated` finds them.
     """
     data = prepare(usable, machine)
-    inside, ranges = without_saturated(usable, machine, data.noise, criteria)
+    inside, ranges = without_saturated(usable, machine, data.noise)
     return (prepare(inside, machine) if ranges else data), ranges
 
 

@@ -26,7 +26,6 @@ from ..recordings import (
     without_wraps,
     wraps_of,
 )
-from .criteria import SaturationCriteria
 from .dataset import MIN_ROWS
 from .initial_rest import InitialRest, count_resting_rows, initial_rest, without_moving_start
 from .input_noise import without_input_noise
@@ -162,7 +161,7 @@ def rest_and_noise(recording: Recording, machine: Machine) -> tuple[int, Array, 
 
 
 def without_saturated(
-    recordings: Sequence[Recording], machine: Machine, noise: SensorNoise, criteria: SaturationCriteria
+    recordings: Sequence[Recording], machine: Machine, noise: SensorNoise
 ) -> tuple[list[Recording], dict[str, Range]]:
     """Remove measurements at the end of a sensor's range.
 
@@ -171,11 +170,10 @@ def without_saturated(
 
     Args:
         recordings: Runs of one rig.
-        criteria: Thresholds by which a sensor at the end of its range is recognized.
 
     Returns:
         Copies of the runs, and the ranges found, m or rad, by channel.
     """
-    found = saturation_ranges(recordings, machine, noise, criteria)
+    found = saturation_ranges(recordings, machine, noise)
     ends = found | machine.measuring_ranges
-    return [blank_saturated(r, ends, machine, noise, criteria) for r in recordings], found
+    return [blank_saturated(r, ends, machine, noise) for r in recordings], found

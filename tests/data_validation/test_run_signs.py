@@ -12,7 +12,6 @@ from hframe_gym.data_validation.run_signs import check_signs_of_runs
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine, Sensor
-from hframe_gym.preparation.criteria import SaturationCriteria
 from hframe_gym.preparation.session import prepare_within_ranges
 from hframe_gym.recordings import Recording
 from tests.data_validation.planted_mistakes import measure
@@ -62,7 +61,7 @@ def test_a_sign_that_is_wrong_in_all_runs_does_not_differ() -> None:
     coasting = run(machine, np.where(TIME < 0.5, 12.0, 0.0), "pushed")
     coasting = dataclasses.replace(coasting, inputs=np.zeros_like(coasting.inputs))
     reversed_runs = [run(machine, volts, f"run_{i}", -1.0) for i, volts in enumerate((STEP, STAIRS, RAMP))]
-    data, _ = prepare_within_ranges([*reversed_runs, coasting], machine, SaturationCriteria())
+    data, _ = prepare_within_ranges([*reversed_runs, coasting], machine)
     assert check_signs_of_runs(data.runs, machine) == []
     first = dataclasses.replace(data.runs[0], inputs=-data.runs[0].inputs)
     assert check_signs_of_runs([first, *data.runs[1:]], machine) != []

@@ -376,7 +376,7 @@ def test_a_budget_counts_what_comes_before_and_after_the_identification() -> Non
 
 def test_no_machine_is_evaluated_twice() -> None:
     """Its name does not matter."""
-    session = prepare_session(axis_recordings(AXIS, rows=200, volts=6.0), AXIS, CRITERIA, lambda line: None)
+    session = prepare_session(axis_recordings(AXIS, rows=200, volts=6.0), AXIS, lambda line: None)
     fitted, held_out = session.data.with_runs(["run_0"]), session.data.with_runs(["run_1", "run_2"])
     tests = HeldOutTests(session, CRITERIA)
     first = tests.of(held_out).errors(AXIS, fitted)

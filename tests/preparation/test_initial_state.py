@@ -15,8 +15,8 @@ from hframe_gym.identification import (
     Dataset,
     InitialState,
     PreparedRecording,
-    initial_state_of_recording,
     prepare,
+    simulate_recording,
 )
 from hframe_gym.identification.fit.channel_errors import channel_errors
 from hframe_gym.machine import BUILTIN_MACHINES, Belt, Machine, rest_state
@@ -201,7 +201,7 @@ def measured_runs(machine: Machine, zeros: tuple[float, float]) -> list[Recordin
 
 def simulated_rmse(machine: Machine, recording: Recording) -> np.ndarray:
     """Return simulation errors (sensors,) from the recording's initial state, as in `hframe simulate`."""
-    initial = initial_state_of_recording(machine, recording)
+    initial = simulate_recording(machine, recording).initial
     trajectory = simulate(machine, recording.time_s, recording.inputs, initial.state, offset=initial.zeros)
     return np.asarray(np.sqrt(np.mean((recording.outputs - trajectory.outputs) ** 2, axis=0)))
 
@@ -238,14 +238,14 @@ def test_simulation_of_a_recording_has_the_errors_that_identification_reports(
 def test_a_start_beyond_the_range_is_determined_from_later_measurements_and_reported(hframe: Machine) -> None:
     machine = hframe.with_effects(EFFECTS["sensor_range"].at("x_m", low=-0.1, high=0.1))
     run = measured_runs(machine, (1.3, -2.1))[2]
-    initial = initial_state_of_recording(machine, run)
+    initial = simulate_recording(machine, run).initial
     np.testing.assert_allclose(initial.state[:2], RUNS["beyond"][0], atol=20e-6)
     assert "x_m measures nothing at rest" in initial.warnings[0]
 
 
 def test_a_recording_without_outputs_starts_at_the_origin_with_a_warning(hframe: Machine) -> None:
     run = Recording("voltages", np.arange(50) * 1e-3, np.zeros((50, 2)), np.full((50, 4), np.nan))
-    initial = initial_state_of_recording(hframe, run)
+    initial = simulate_recording(hframe, run).initial
     np.testing.assert_array_equal(initial.state, 0.0)
     np.testing.assert_array_equal(initial.zeros, 0.0)
     assert "cannot be determined" in initial.warnings[0]

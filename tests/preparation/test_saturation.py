@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hframe_gym.identification import SelectionCriteria
 from hframe_gym.machine import Machine
 from hframe_gym.preparation.saturation import blank_saturated, range_effects, saturation_ranges
 from hframe_gym.recordings import Recording
@@ -30,12 +29,12 @@ def moving_runs(limit: float = 0.1) -> list[Recording]:
 
 def test_a_saturated_laser_is_recognized_and_blanked(hframe: Machine) -> None:
     recordings = moving_runs()
-    ranges = saturation_ranges(recordings, hframe, NOISE, SelectionCriteria())
+    ranges = saturation_ranges(recordings, hframe, NOISE)
     assert list(ranges) == ["x_m"]
     low, high = ranges["x_m"]
     assert high == pytest.approx(0.1, abs=2e-5)
     assert low < -1.0
-    blanked = blank_saturated(recordings[0], ranges, hframe, NOISE, SelectionCriteria())
+    blanked = blank_saturated(recordings[0], ranges, hframe, NOISE)
     saturated = recordings[0].outputs[:, 2] > 0.1 - 80e-6
     assert np.isnan(blanked.outputs[saturated, 2]).all()
     assert np.isfinite(blanked.outputs[~saturated, 2]).mean() > 0.99
@@ -49,15 +48,10 @@ def test_a_saturated_measurement_with_unusual_noise_is_blanked_as_well(hframe: M
     outputs = np.zeros((6, 4))
     outputs[:, 2] = [0.0999, 0.1, 0.1 - 5 * 2e-5, 0.1, 0.1 - 9 * 2e-5, 0.1 - 5 * 2e-5]
     run = Recording("run", np.arange(6) * 1e-3, np.zeros((6, 2)), outputs)
-    blanked = blank_saturated(run, {"x_m": (-1.0, 0.1)}, hframe, NOISE, SelectionCriteria())
+    blanked = blank_saturated(run, {"x_m": (-1.0, 0.1)}, hframe, NOISE)
     np.testing.assert_array_equal(np.isnan(blanked.outputs[:, 2]), [True, True, True, True, False, False])
 
 
 def test_a_coordinate_that_rests_is_not_saturated(hframe: Machine) -> None:
     """One motor that rests while the other drives the stage is normal."""
-    assert saturation_ranges(moving_runs(limit=1.0), hframe, NOISE, SelectionCriteria()) == {}
-
-
-def test_the_thresholds_of_saturation_can_be_set(hframe: Machine) -> None:
-    strict = SelectionCriteria(min_saturated_fraction=0.9)
-    assert saturation_ranges(moving_runs(), hframe, NOISE, strict) == {}
+    assert saturation_ranges(moving_runs(limit=1.0), hframe, NOISE) == {}

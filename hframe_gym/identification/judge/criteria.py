@@ -9,13 +9,12 @@ the minimum gains below were calibrated on synthetic rigs without any effect
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
-
-from ...preparation.criteria import SaturationCriteria
 
 
 @dataclass(frozen=True)
-class SearchEffort(SaturationCriteria):
+class SearchEffort:
     """How much the search tries. A smaller effort may miss an effect; the same tests judge what it tries.
 
     The linearized gain of a candidate is predicted from the derivatives of the residual before any fit. A
@@ -69,6 +68,28 @@ class SearchEffort(SaturationCriteria):
     max_tables_per_coordinate: int = 3
     cross_validation_blocks: int = 8
     max_drift: float = 0.3
+
+    def __post_init__(self) -> None:
+        """Check the thresholds.
+
+        Raises:
+            ValueError: If a threshold is negative or not finite.
+        """
+        for name, value in self.as_json().items():
+            if not 0.0 <= value < float("inf"):
+                raise ValueError(f"criterion {name} is {value}; it must be finite and not negative")
+
+    def __str__(self) -> str:
+        """Return all thresholds as text, one "name = value" per line."""
+        return "\n".join(f"{name} = {value:g}" for name, value in self.as_json().items())
+
+    def as_json(self) -> dict[str, float]:
+        """Convert the thresholds to a dictionary, which report.json contains as `criteria`.
+
+        Returns:
+            Value of each threshold by its attribute name, for example "min_gain"; all are dimensionless.
+        """
+        return dataclasses.asdict(self)
 
 
 @dataclass(frozen=True)

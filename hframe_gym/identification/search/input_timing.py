@@ -6,6 +6,9 @@ only for moments after a change of the voltage, so that slow forces without a na
 certain it is. Unlike a small force, it cannot be a substitute for them: its force follows from the known
 voltages and from one parameter. Such effects are therefore judged by a wider observer, at which what a delay
 explains is fast.
+
+On EMPS, a public axis, the lag of the drive that is found here reduces the force error of the held-out record
+from 3.27 to 2.81 %.
 """
 
 from __future__ import annotations

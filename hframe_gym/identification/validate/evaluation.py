@@ -151,7 +151,7 @@ class HeldOutTest:
                 again = known.errors.machine.replace(name=named.name, uncertainty=named.uncertainty)
                 return dataclasses.replace(known.errors, machine=again)
         began = time.process_time()
-        errors = evaluate_held_out(named, fitted, self.complete_runs, self.session.recordings, self.criteria)
+        errors = evaluate_held_out(named, fitted, self.complete_runs, self.session.recordings)
         self._known.append(_KnownErrors(moving, reference, errors, time.process_time() - began))
         return errors
 

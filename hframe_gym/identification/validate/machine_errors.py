@@ -19,7 +19,6 @@ from ..fit.channel_errors import ChannelError, errors_by_channel
 from ..fit.start_estimation import refine_dataset
 from ..forces.force_sizes import lacking_force
 from ..forces.inverse_dynamics import force_error
-from ..judge.criteria import SelectionCriteria
 from ..judge.sensor import SensorEvidence, deviates_alone
 from ..predict.prediction import map_runs
 from .recording_simulation import simulate_recording
@@ -125,7 +124,6 @@ def evaluate_held_out(
     fitted: Dataset,
     held_out: Dataset,
     recordings: Sequence[Recording],
-    criteria: SelectionCriteria | None = None,
 ) -> ModelEvaluation:
     """Evaluate a machine on held-out runs (not fitted): simulate it as ``hframe simulate`` does, and compare.
 
@@ -136,7 +134,6 @@ def evaluate_held_out(
         fitted: Runs that the machine was fitted to.
         held_out: Runs to evaluate on, as prepared for identification.
         recordings: The recordings of these runs as they were measured; others are ignored.
-        criteria: Thresholds of the identification. Default: `SelectionCriteria()`.
 
     Returns:
         The machine with these zeros, its errors by channel, and its simulation errors (measured minus
@@ -154,7 +151,7 @@ def evaluate_held_out(
         """Return errors at a run's rows (n, sensors), warnings about its start, and whether it diverges."""
         recording = measured[run.name]
         try:
-            simulation = simulate_recording(machine, recording, criteria, updates=run.updates)
+            simulation = simulate_recording(machine, recording, updates=run.updates)
         except NotFiniteError:
             return np.full(run.outputs.shape, np.nan), run.initial.warnings, True
         error = np.full(run.outputs.shape, np.nan)  # rows that the preparation inserted in gaps stay NaN

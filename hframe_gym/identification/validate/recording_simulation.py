@@ -38,7 +38,6 @@ from ...preparation.usable import (
 from ...recordings import Recording, fill_gaps
 from ..fit.lost_voltages import estimate_lost_voltages
 from ..fit.start_estimation import most_probable_start
-from ..judge.criteria import SelectionCriteria
 from ..predict.prediction import POLISH_STEP
 
 
@@ -63,9 +62,7 @@ class SimulatedRecording(NamedTuple):
         return self.trajectory.outputs
 
 
-def simulate_recording(
-    machine: Machine, recording: Recording, criteria: SelectionCriteria | None = None, *, updates: int = 1
-) -> SimulatedRecording:
+def simulate_recording(machine: Machine, recording: Recording, *, updates: int = 1) -> SimulatedRecording:
     """Simulate a machine over a recording and compare it with the measurements.
 
     The simulation starts from the most probable state, which is estimated from the measurements at rest and
@@ -79,8 +76,6 @@ def simulate_recording(
     Args:
         machine: Machine, declared or identified.
         recording: The run; outputs may be missing.
-        criteria: Thresholds by which a sensor at the end of its range is recognized. Default:
-            `SelectionCriteria()`.
         updates: How many times the controller changes the voltages from one row to the next; more than once,
             they are interpolated between the rows.
 
@@ -92,10 +87,9 @@ def simulate_recording(
     Raises:
         NotFiniteError: If the motion diverges.
     """
-    criteria = criteria or SelectionCriteria()
     begun = from_first_measurement(recording, machine)
-    cleaned, recorded = _cleaned(begun, machine, criteria, updates)
-    initial = _initial_state(machine, cleaned, criteria, updates)
+    cleaned, recorded = _cleaned(begun, machine, updates)
+    initial = _initial_state(machine, cleaned, updates)
     motion = simulate(
         machine,
         *_updated(machine, cleaned, updates),
@@ -121,40 +115,7 @@ def simulate_recording(
     return SimulatedRecording(trajectory, error, initial)
 
 
-def initial_state_of_recording(
-    machine: Machine, recording: Recording, criteria: SelectionCriteria | None = None
-) -> InitialState:
-    """Determine the initial state from which a machine is simulated over a recording.
-
-    The measurements at rest give a first estimate: saturated ones are ignored, scale and skew of a sensor are
-    corrected, and pulleys are in static equilibrium. An encoder measures the stretch of the belts if the
-    machine declares its zero (measurement at position 0). The zero is not used if it contradicts the lasers
-    (sensors with a fixed zero): the encoder was then switched on anew and counts from another zero. What
-    remains uncertain (belt stretch, states of hysteresis and bristles) is estimated from the motion, see
-    `start_estimation.most_probable_start`.
-
-    Args:
-        machine: Machine, declared or identified.
-        recording: The run; outputs may be missing.
-        criteria: Thresholds by which a sensor at the end of its range is recognized. Default:
-            `SelectionCriteria()`.
-
-    Returns:
-        Initial state for `simulate(..., initial.start(machine), offset=initial.zeros)`, the simulation whose
-        errors identification reports. Its `state` holds positions and velocities, shape (2 * coordinates,),
-        its `zeros` the zeros of the sensors, in the sensors' units, shape (sensors,): those at rest,
-        corrected by the mean error of the run as far as rounding and the stretch of the belts at the start
-        explain it. If the simulation diverges, the zeros follow from the measurements at rest. `warnings`
-        lists what could not be determined.
-    """
-    criteria = criteria or SelectionCriteria()
-    begun = from_first_measurement(recording, machine)
-    return _initial_state(machine, _cleaned(begun, machine, criteria)[0], criteria)
-
-
-def _cleaned(
-    recording: Recording, machine: Machine, criteria: SelectionCriteria, updates: int = 1
-) -> tuple[Recording, NDArray[np.bool_]]:
+def _cleaned(recording: Recording, machine: Machine, updates: int) -> tuple[Recording, NDArray[np.bool_]]:
     """Return a recording without outliers, gaps, and measurements before rest, and its logged rows.
 
     The measurements also determine the voltages in the gaps, except saturated measurements.
@@ -164,17 +125,15 @@ def _cleaned(
     logged = np.isin(filled.time_s, usable.time_s)  # `fill_gaps` keeps recorded times exactly
     if filled is usable or not np.isfinite(usable.outputs).any():
         return filled, logged
-    data = prepare([_unsaturated(usable, filled, machine, criteria)], machine)
+    data = prepare([_unsaturated(usable, filled, machine)], machine)
     (run,) = estimate_lost_voltages(data.with_updates(updates), machine).runs
     return dataclasses.replace(filled, inputs=run.inputs), logged
 
 
-def _unsaturated(
-    usable: Recording, filled: Recording, machine: Machine, criteria: SelectionCriteria
-) -> Recording:
+def _unsaturated(usable: Recording, filled: Recording, machine: Machine) -> Recording:
     """Return a recording without saturated measurements, by its noise once its gaps are filled."""
     _, _, noise = rest_and_noise(filled, machine)
-    ((unsaturated,), _) = without_saturated([usable], machine, noise, criteria)
+    ((unsaturated,), _) = without_saturated([usable], machine, noise)
     return unsaturated
 
 
@@ -188,12 +147,10 @@ def _updated(machine: Machine, recording: Recording, updates: int) -> tuple[Arra
     return update_times(recording.time_s, updates), updated_inputs(recording.time_s, inputs, updates)
 
 
-def _initial_state(
-    machine: Machine, recording: Recording, criteria: SelectionCriteria, updates: int = 1
-) -> InitialState:
+def _initial_state(machine: Machine, recording: Recording, updates: int) -> InitialState:
     """Return the initial state of a recording without gaps and outliers."""
     rows, quanta, noise = rest_and_noise(recording, machine)
-    ((usable,), _) = without_saturated([recording], machine, noise, criteria)
+    ((usable,), _) = without_saturated([recording], machine, noise)
     initial = measured_initial_state(usable, machine, EncoderZeros.of_machine(machine), quanta)
     refined = bool(machine.effects) and bool(initial.resolves_stretch.any())
     initial = dataclasses.replace(initial, zeros_refined=refined)

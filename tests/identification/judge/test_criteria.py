@@ -60,10 +60,6 @@ CALIBRATED = SelectionCriteria(
     max_noise_ratio_explained=2.0,
     max_motion_error=0.1,
     max_remaining=0.03,
-    min_saturated_fraction=0.01,
-    second_end_factor=0.2,
-    saturation_band=8.0,
-    min_saturated_travel=300.0,
 )
 
 

@@ -11,9 +11,7 @@ import pytest
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import (
-    SelectionCriteria,
     estimate_initial_state,
-    initial_state_of_recording,
     prepare,
     simulate_recording,
 )
@@ -88,14 +86,14 @@ def test_a_single_run_starts_with_its_true_stretch(
         true = rest_state(hframe, STARTS[k])[2:4] + STRETCH[k]
         for machine in (identified, hframe):
             np.testing.assert_allclose(
-                initial_state_of_recording(machine, run).state[2:4], true, atol=1.2 * QUANTUM
+                simulate_recording(machine, run).initial.state[2:4], true, atol=1.2 * QUANTUM
             )
 
 
 def test_a_zero_that_the_lasers_contradict_is_not_used(hframe: Machine, identified: Machine) -> None:
     run = record(hframe, 1, zeros=ZEROS + np.array([0.0, 0.7]))
-    initial = initial_state_of_recording(identified, run)
-    assert initial_state_of_recording(identified, record(hframe, 1)).resolves_stretch.tolist() == [
+    initial = simulate_recording(identified, run).initial
+    assert simulate_recording(identified, record(hframe, 1)).initial.resolves_stretch.tolist() == [
         True,
         True,
         False,
@@ -104,7 +102,7 @@ def test_a_zero_that_the_lasers_contradict_is_not_used(hframe: Machine, identifi
     assert initial.resolves_stretch.tolist() == [True, False, False, False]
     assert "phi2_rad does not count from its zero in the other runs" in initial.warnings[0]
     np.testing.assert_allclose(initial.state[:2], STARTS[1], atol=20e-6)
-    assert initial_state_of_recording(identified, record(hframe, 1)).warnings == ()
+    assert simulate_recording(identified, record(hframe, 1)).initial.warnings == ()
 
 
 def test_encoders_locate_a_start_that_a_laser_does_not_measure(hframe: Machine, identified: Machine) -> None:
@@ -117,7 +115,7 @@ def test_encoders_locate_a_start_that_a_laser_does_not_measure(hframe: Machine, 
     # `record` starts a round pulley at its angle; the eccentric one measures less by the lag.
     lag = 0.2e-3 * np.sin((0.09 - 0.01) / RADIUS + STRETCH[1, 1] + 0.7) / RADIUS
     run.outputs[:, 1] -= lag
-    initial = initial_state_of_recording(limited, run)
+    initial = simulate_recording(limited, run).initial
     # The belts are stretched by 30 um; the encoders cannot tell this from the position.
     np.testing.assert_allclose(initial.state[:2], (0.09, 0.01), atol=45e-6)
 
@@ -145,8 +143,8 @@ def test_saturated_measurements_of_a_recording_with_gaps_determine_no_voltages(
     kept = np.ones(len(run.time_s), np.bool_)
     kept[[250, *range(396, 406)]] = False  # the voltage changes in the second gap
     damaged = Recording(run.name, run.time_s[kept], run.inputs[kept], run.outputs[kept])
-    filled, criteria = fill_gaps(damaged), SelectionCriteria()
-    unsaturated = recording_simulation._unsaturated(damaged, filled, machine, criteria)
+    filled = fill_gaps(damaged)
+    unsaturated = recording_simulation._unsaturated(damaged, filled, machine)
     noise = prepare([damaged], machine).noise
     np.testing.assert_array_equal(rest_and_noise(filled, machine)[2], noise)
     distance = np.abs(damaged.outputs[:, 2, None] - limits).min(axis=1) / noise[2]
@@ -154,7 +152,7 @@ def test_saturated_measurements_of_a_recording_with_gaps_determine_no_voltages(
     expected = saturated | (np.convolve(saturated, [1, 0, 1], "same") > 0) & (distance < 8)
     assert 0 < expected.sum() < len(expected)
     np.testing.assert_array_equal(np.isnan(unsaturated.outputs[:, 2]), expected)
-    cleaned = recording_simulation._cleaned(damaged, machine, criteria)[0].inputs
+    cleaned = recording_simulation._cleaned(damaged, machine, 1)[0].inputs
     without, with_saturated = (
         estimate_lost_voltages(prepare([run], machine), machine).runs[0].inputs
         for run in (unsaturated, damaged)
@@ -203,7 +201,7 @@ def test_later_measurements_locate_a_start_in_spite_of_stretched_belts(hframe: M
     # With the machine, the simulation corrects what is left.
     limited = hframe.with_effects(EFFECTS["sensor_range"].at("x_m", low=-0.05, high=0.05))
     saturated = dataclasses.replace(run, outputs=np.where(np.isnan(outputs), 0.05, outputs))
-    assert abs(initial_state_of_recording(limited, saturated).position[0] - 0.09) < 20e-6
+    assert abs(simulate_recording(limited, saturated).initial.position[0] - 0.09) < 20e-6
 
 
 def without_x(run: Recording) -> Recording:
@@ -214,13 +212,13 @@ def without_x(run: Recording) -> Recording:
 def test_a_laser_that_measures_checks_the_zeros_where_another_one_does_not(
     hframe: Machine, identified: Machine
 ) -> None:
-    initial = initial_state_of_recording(identified, without_x(record(hframe, 0)))
+    initial = simulate_recording(identified, without_x(record(hframe, 0))).initial
     assert initial.resolves_stretch.tolist() == [True, True, False, False]
     np.testing.assert_allclose(initial.state[:2], STARTS[0], atol=45e-6)
     # One of the encoders, it is unknown which, was switched on anew.
-    initial = initial_state_of_recording(
+    initial = simulate_recording(
         identified, without_x(record(hframe, 0, zeros=ZEROS + np.array([0.0, 0.7])))
-    )
+    ).initial
     assert not initial.resolves_stretch.any()
     assert not initial.position_known
     assert len(initial.warnings) == 2
@@ -247,7 +245,7 @@ def test_a_servo_log_is_used_from_its_first_measurement_on(unmeasured: int) -> N
     outputs = simulate(servo, time_s, command, [0.4, 0.0, 0.0]).outputs.copy()
     outputs[:unmeasured] = np.nan
     run = Recording("run", time_s, command, outputs)
-    session = prepare_session([run], servo, SelectionCriteria(), lambda line: None)
+    session = prepare_session([run], servo, lambda line: None)
     (prepared,) = session.data.runs
     assert prepared.initial.position_known
     assert len(prepared.time_s) == 400 - unmeasured
@@ -278,21 +276,15 @@ def test_a_machine_whose_simulation_diverges_on_a_held_out_run_has_no_error(
     assert {(e.rmse, e.noise_ratio) for e in evaluation.held_out.channels.values()} == {(None, None)}
 
 
-@pytest.mark.parametrize(("travel", "blanked"), [(1.0, True), (1e9, False)])
-def test_one_path_prepares_recordings_with_the_criteria_of_the_identification(
-    hframe: Machine, session: list[Recording], travel: float, blanked: bool
-) -> None:
-    """A laser begins at the end of its range: fit, simulation and initial state agree on what it shows."""
+def test_one_path_prepares_recordings(hframe: Machine, session: list[Recording]) -> None:
+    """A laser begins at the end of its range: neither the fit nor the simulation believes it there."""
     run = session[1]
     begin = run.outputs[0, 2]
     run.outputs[:, 2] = np.minimum(run.outputs[:, 2], begin - 0.5e-3)
-    criteria = SelectionCriteria(min_saturated_travel=travel)
-    prepared = prepare_session([run], hframe, criteria, lambda line: None)
-    assert np.isnan(prepared.data.runs[0].outputs[0, 2]) == bool(prepared.ranges) == blanked
-    initial = initial_state_of_recording(hframe, run, criteria)
-    np.testing.assert_array_equal(initial.state, simulate_recording(hframe, run, criteria).initial.state)
-    # a saturated measurement is not believed
-    assert (abs(initial.position[0] - (begin - 0.5e-3)) > 50e-6) == blanked
+    prepared = prepare_session([run], hframe, lambda line: None)
+    assert list(prepared.ranges) == ["x_m"]
+    assert np.isnan(prepared.data.runs[0].outputs[0, 2])
+    assert abs(simulate_recording(hframe, run).initial.position[0] - (begin - 0.5e-3)) > 50e-6
 
 
 def test_a_sensor_deviates_alone_if_the_others_refute_its_error(hframe: Machine) -> None:

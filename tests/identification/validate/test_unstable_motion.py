@@ -60,7 +60,7 @@ def test_an_axis_enlarges_no_error() -> None:
 def test_a_note_says_that_simulations_say_nothing(
     angle: float, left: float, voltages_known: bool, machine: Machine, said: bool
 ) -> None:
-    session = prepare_session([swung(angle)], PENDULUM, SelectionCriteria(), lambda line: None)
+    session = prepare_session([swung(angle)], PENDULUM, lambda line: None)
     held_out = session.data
     if not voltages_known:
         held_out = with_voltage_errors(PENDULUM, held_out.with_updates(4))
