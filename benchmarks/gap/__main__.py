@@ -4,20 +4,23 @@
     python -m benchmarks.gap run my_reach.zip+my_track.zip      # saved policies, for moves and for paths
     python -m benchmarks.gap run pid --plants 0 1 --out DIR             # some plants, another folder
     python -m benchmarks.gap run pid --again       # plants that another commit scored are scored again
-    python -m benchmarks.gap run pid --seed 48000 --out DIR             # other plants, such as a held set
+    python -m benchmarks.gap run pid --seed 48000    # other plants: benchmarks/gap/results/48000
     python -m benchmarks.gap table         # write benchmarks/results/gap.json from the result files
+    python -m benchmarks.gap table --seed 48000    # benchmarks/results/gap_48000.json
     python -m benchmarks.gap trained --out DIR    # NAME-trained and NAME-corrected: results/gap_trained.json
     python -m benchmarks.gap list | plants | bounds | picture
 
 A run that ends early continues where it ended. Where the source of an entry has changed, its plants are
-scored again; rows of plants that a run leaves out stay, and say which code scored them. Identified machines
-and trained agents are kept in out/gap.
+scored again; rows of plants that a run leaves out stay, and say which code scored them. A plant that an entry
+refuses has a row with the reason, and the run goes on with the next one. Identified machines and trained
+agents are kept in out/gap.
 """
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 from benchmarks.gap import bounds, protocol, results
 from benchmarks.gap.catalog import entry_names, get_entry
@@ -65,20 +68,40 @@ def run(
     done = {
         row["plant"]: row
         for row in content["plants"]
-        if "sha256" not in row and (not again or row.get("commit") == scored_by)
+        if "sha256" not in row and "refused" not in row and (not again or row.get("commit") == scored_by)
     }
 
     def keep(row: dict[str, object]) -> None:
         others = [other for other in content["plants"] if other["plant"] != row["plant"]]
         content["plants"] = [*others, {**row, "commit": scored_by}]
         results.write(path, content)
-        print(f"{name} plant {row['plant']}", flush=True)
+        print(f"{name} plant {row['plant']}{': ' * ('refused' in row)}{row.get('refused', '')}", flush=True)
 
-    of_seed = [other for other in read_all(out).values() if other["seed"] == seed]
-    rows = [row for other in of_seed for row in other["plants"] if row.get("commit") == scored_by]
+    others = [other for other in read_all(out).values() if other["seed"] == seed]
+    rows = [row for other in others for row in other["plants"] if row.get("commit") == scored_by]
     known = {(row["plant"], row["key"]): row for row in rows if "key" in row}
     protocol.score_plants(make, seed, indices, cache, done, known, keep)
     return path
+
+
+def of_seed(contents: dict[str, dict[str, Any]], seed: int, folder: Path) -> dict[str, dict[str, Any]]:
+    """Return result files by name, as `read_all` returns them, if all are on plants of a seed.
+
+    Args:
+        folder: Folder of the files, for the message.
+
+    Raises:
+        InputError: If there is no file, or one on plants of another seed.
+    """
+    if not contents:
+        raise InputError(f"{folder} holds no results; write some with python -m benchmarks.gap run")
+    for name, content in contents.items():
+        if content["seed"] != seed:
+            raise InputError(
+                f"{folder}: the results of {name} are on plants of seed {content['seed']}, not {seed}; "
+                f"state --seed {content['seed']}, and name a folder with plants of one seed with --out"
+            )
+    return contents
 
 
 def compute_bounds(seed: int, indices: list[int]) -> None:
@@ -120,18 +143,24 @@ def main() -> None:
     parser.add_argument(
         "--seed", type=int, default=PUBLIC_SEED, help="of the plants (default: those of gap-v1)"
     )
-    parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the result files")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        help="folder of the result files (default: benchmarks/gap/results, of another seed its folder SEED)",
+    )
     parser.add_argument(
         "--again", action="store_true", help="run: score plants again that another commit scored"
     )
     arguments = parser.parse_args()
+    held = arguments.seed != PUBLIC_SEED
+    out = arguments.out or (RESULTS / f"{arguments.seed}" if held else RESULTS)
     try:
         if arguments.action == "run":
             protocol.check()
             if not arguments.entries:
                 raise InputError("run needs at least one entry; python -m benchmarks.gap list names them")
             for name in arguments.entries:
-                run(name, arguments.seed, arguments.plants, arguments.out, again=arguments.again)
+                run(name, arguments.seed, arguments.plants, out, again=arguments.again)
         elif arguments.action == "list":
             print("\n".join(entry_names()))
         elif arguments.action == "plants":
@@ -142,13 +171,14 @@ def main() -> None:
         elif arguments.action == "picture":
             from benchmarks.gap.picture import draw
 
-            print(draw(read_all(arguments.out)))
+            print(draw(read_all(out)))
         if arguments.action in ("run", "table"):
-            print(overview(read_all(arguments.out)))
+            print(overview(read_all(out)))
         if arguments.action == "table":
-            print(write_results("gap", summarize(read_all(arguments.out)), seed=arguments.seed))
+            content = summarize(of_seed(read_all(out), arguments.seed, out))
+            print(write_results(f"gap_{arguments.seed}" if held else "gap", content, seed=arguments.seed))
         if arguments.action == "trained":
-            content = trained_against_corrected(read_all(arguments.out))
+            content = trained_against_corrected(read_all(out))
             print(write_results("gap_trained", content, seed=arguments.seed))
     except InputError as error:
         sys.exit(f"{error}")

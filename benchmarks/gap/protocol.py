@@ -263,10 +263,15 @@ def score_plants(
         make: Returns a new object of the entry, one per plant.
         done: Results by the number of the plant, of an earlier run.
         known: Results of other entries by plant and key.
-        each: Called with the result of each plant.
+        each: Called with the result of each plant; where the entry refuses the plant by an `InputError`, with
+            the number of the plant, "plant", and the reason, "refused".
     """
     for index in indices:
         if index in done:
             continue
         plant = draw_plant(seed, index)
-        each(score(make(), plant, folder / plant.name, known))
+        try:
+            row = score(make(), plant, folder / plant.name, known)
+        except InputError as error:
+            row = {"plant": index, "refused": str(error)}
+        each(row)

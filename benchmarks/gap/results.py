@@ -133,6 +133,8 @@ def read(path: Path) -> dict[str, Any]:
         )
     bounds = stored_bounds(found["seed"])
     for row in found["plants"]:
+        if "refused" in row:
+            continue
         for part, columns in row["values"].items():
             if part not in PARTS or any(len(column) != EPISODES[part] for column in columns.values()):
                 raise InputError(
@@ -175,13 +177,15 @@ class PlantScore(NamedTuple):
 
 
 def plant_scores(content: dict[str, Any]) -> dict[int, PlantScore]:
-    """Compute the scores of an entry by the number of the plant.
+    """Compute the scores of an entry by the number of the plant, without the plants that it refuses.
 
     Args:
         content: Content of a result file.
     """
     bounds, scores = stored_bounds(content["seed"]), {}
     for row in content["plants"]:
+        if "refused" in row:
+            continue
         values = row["values"]
         column = values["reach"][SETTLED]
         settling = np.array([DURATION_S if value is None else value for value in column])

@@ -71,16 +71,16 @@ def summarize(contents: dict[str, dict[str, Any]]) -> dict[str, Any]:
     Returns:
         By key, as plain data: "entries" with the scores, "steps" with the comparison of each model with the
         declared one (by controller and part), "learned" with the comparison of the best learned entry with
-        the best other one (by track and part), "scored_by" with the code that scored which plants, and
-        "plants" with what they hide and what was identified.
+        the best other one (by track and part), "scored_by" with the code that scored which plants, "plants"
+        with what they hide and what was identified, and "refused" with the entries that refuse a plant.
     """
     files = by_entry(contents)
-    entries = {name: _scores(of_seeds) for name, of_seeds in files.items()}
+    entries = {name: scores for name, of_seeds in files.items() if (scores := _scores(of_seeds))}
     steps: dict[str, Any] = {}
     for name, of_seeds in files.items():
         base, _, step = name.rpartition("-")
         mine, declared = of_same_seeds(of_seeds, files.get(base, []))
-        if step in STEPS and declared:
+        if step in STEPS and declared and {name, base} <= set(entries):
             steps[name] = {part: compare(mine, declared, part)._asdict() for part in PARTS}
     return {
         "digest": DIGEST,
@@ -90,6 +90,12 @@ def summarize(contents: dict[str, dict[str, Any]]) -> dict[str, Any]:
         "learned": _learned_against_other(files, entries),
         "scored_by": _scored_by(contents),
         "plants": _plants(files),
+        "refused": [
+            {"entry": name, "plant": row["plant"], "reason": row["refused"]}
+            for name, content in contents.items()
+            for row in content["plants"]
+            if "refused" in row
+        ],
     }
 
 
@@ -115,9 +121,11 @@ def _best(entries: dict[str, Any], learned: bool, measure: str) -> str:
 
 
 def _scores(of_seeds: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return the scores of an entry from the files of all its seeds, on the plants that all of them have."""
+    """Return an entry's scores from the files of all its seeds, on the plants that all have; {} if none."""
     scored = [plant_scores(content) for content in of_seeds]
     plants = sorted(set.intersection(*(set(scores) for scores in scored)))
+    if not plants:
+        return {}
     rows = [{row["plant"]: row for row in content["plants"]} for content in of_seeds]
 
     def over(value: Callable[[PlantScore], float]) -> tuple[float, float, float]:
@@ -174,7 +182,7 @@ def _plants(files: Files) -> list[dict[str, Any]]:
         for content in of_seeds:
             seed = content["seed"]
             for row in content["plants"]:
-                about[row["plant"]] = about.get(row["plant"], {}) | row["about"]
+                about[row["plant"]] = about.get(row["plant"], {}) | row.get("about", {})
 
     def means(index: int, measure: str) -> dict[str, float]:
         return {

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.gap import __main__ as gap_command
 from benchmarks.gap import bounds, machines, protocol, results
 from benchmarks.gap.__main__ import run
 from benchmarks.gap.catalog import TRAINED, entry_names, get_entry
@@ -39,7 +40,7 @@ from hframe_gym.recordings import save_machine
 from tests.reference_simulator import Array, Rig, simulate
 from tests.rigs.random_effects import draw_effect
 from tests.rigs.random_rigs import Residue
-from tools.tables.gap import gap_scored_by
+from tools.tables.gap import gap_plants, gap_scored_by
 
 REACH = Reach()
 CIRCLE = Track(path="circle", size=0.05, speed=0.3)
@@ -374,6 +375,57 @@ def test_a_run_replaces_only_what_it_scores_again(tmp_path: Path, monkeypatch: p
         run(name, PUBLIC_SEED + 1, [0], tmp_path, tmp_path / "cache")
 
 
+class Choosy(Still):
+    """Entry that refuses the second plant."""
+
+    name = "choosy"
+
+    def prepare(self, declared: Machine, recorder: Recorder, folder: Path) -> None:
+        if folder.name.endswith("_01"):
+            raise InputError("no controller for this plant")
+        super().prepare(declared, recorder, folder)
+
+
+def test_a_refused_plant_has_a_row_with_the_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(results, "commit", lambda: "5f2c8c82")
+    path = run(f"{__name__}:Choosy", PUBLIC_SEED, [0, 1, 2], tmp_path, tmp_path / "cache")
+    run(f"{__name__}:Still", PUBLIC_SEED, [1], tmp_path, tmp_path / "cache")
+    refused = {"plant": 1, "refused": "no controller for this plant", "commit": "5f2c8c82"}
+    assert results.read(path)["plants"][1] == refused
+    summary = summarize(read_all(tmp_path))
+    assert summary["entries"]["choosy"]["plants"] == 2
+    assert summary["refused"] == [{"entry": "choosy", "plant": 1, "reason": "no controller for this plant"}]
+    cells = gap_plants(summary, ("choosy", "still")).splitlines()[3].split(" | ")
+    assert cells[2:] == ["refused", "1.500 |"]
+    monkeypatch.setattr(Choosy, "prepare", Still.prepare)
+    run(
+        f"{__name__}:Choosy", PUBLIC_SEED, [1], tmp_path, tmp_path / "cache"
+    )  # a refused plant is tried again
+    assert "values" in results.read(path)["plants"][1]
+
+
+def test_only_refused_plants_give_no_scores(tmp_path: Path) -> None:
+    run(f"{__name__}:Choosy", PUBLIC_SEED, [1], tmp_path, tmp_path / "cache")
+    assert summarize(read_all(tmp_path))["entries"] == {}
+    assert "choosy" not in overview(read_all(tmp_path))
+
+
+def test_each_set_of_plants_has_its_summary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The table of a held set leaves that of the published plants as it is."""
+    written: list[str] = []
+    monkeypatch.setattr(gap_command, "write_results", lambda name, content, seed: written.append(name))
+    monkeypatch.setattr(gap_command, "RESULTS", tmp_path)
+    run(f"{__name__}:Still", PUBLIC_SEED, [0], tmp_path, tmp_path / "cache")
+    run(f"{__name__}:Still", 48000, [0], tmp_path / "48000", tmp_path / "cache")
+    for arguments in (["table"], ["table", "--seed", "48000"]):
+        monkeypatch.setattr("sys.argv", ["gap", *arguments])
+        gap_command.main()
+    assert written == ["gap", "gap_48000"]
+    monkeypatch.setattr("sys.argv", ["gap", "table", "--out", str(tmp_path / "48000")])
+    with pytest.raises(SystemExit, match="plants of seed 48000, not 47000"):
+        gap_command.main()
+
+
 def test_equal_models_are_scored_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     machine = declared_machine()
     heavier = machine.replace({"x.mass": 5.0})
@@ -663,12 +715,14 @@ def test_identification_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert len(calls) == 2
 
 
-@pytest.mark.parametrize("path", sorted(RESULTS.glob("*.json")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", sorted(RESULTS.rglob("*.json")), ids=lambda path: path.stem)
 def test_published_results_are_valid(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.undo()
     content = results.read(path)
-    assert content["seed"] == PUBLIC_SEED
-    assert len({row["plant"] for row in content["plants"]}) == len(content["plants"]) >= 12
+    held = path.parent != RESULTS
+    assert content["seed"] == (int(path.parent.name) if held else PUBLIC_SEED)
+    least = 1 if held else 12
+    assert len({row["plant"] for row in content["plants"]}) == len(content["plants"]) >= least
 
 
 def test_the_bound_leaves_out_what_the_optimization_does_not_support() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Any
 
 from tools.tables.result_tables import markdown, table, with_interval
@@ -175,20 +176,25 @@ def hand_over(results: dict[str, Any]) -> str:
     return markdown(["`pid` takes over", *head], rows)
 
 
+_OF_TWO_CONTROLLERS = tuple(
+    f"{base}{step}" for base in ("pid", "predictive") for step in ("", "-refitted", "-corrected", "-online")
+)
+
+
 @table("gap_plants", source="gap")
-def gap_plants(results: dict[str, Any]) -> str:
-    """Format what each plant of gap-v1 hides, what was identified, and settling times of two controllers."""
-    names = [
-        f"{base}{step}"
-        for base in ("pid", "predictive")
-        for step in ("", "-refitted", "-corrected", "-online")
-    ]
+def gap_plants(results: dict[str, Any], names: Sequence[str] = _OF_TWO_CONTROLLERS) -> str:
+    """Format what each plant of gap-v1 hides, what was identified, and settling times of some entries.
+
+    Args:
+        names: Names of the entries; those without results are left out.
+    """
     names = [name for name in names if name in results["entries"]]
+    refused = {(row["plant"], row["entry"]) for row in results.get("refused", ())}
     rows = []
     for plant in results["plants"]:
         found = " + ".join(plant.get("found", ())) or plant.get("verdict", "")
         times = [plant["settling_s"].get(name) for name in names]
-        rows.append(
-            [f"{plant['plant']}: {plant['hides']}", found, *("" if t is None else f"{t:.3f}" for t in times)]
-        )
+        absent = ["refused" if (plant["plant"], name) in refused else "" for name in names]
+        cells = [no if t is None else f"{t:.3f}" for t, no in zip(times, absent, strict=True)]
+        rows.append([f"{plant['plant']}: {plant['hides']}", found, *cells])
     return markdown(["plant", "identified", *(f"`{name}`" for name in names)], rows)
