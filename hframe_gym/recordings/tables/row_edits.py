@@ -83,8 +83,8 @@ def _enclosing_letter(rows: Sequence[str]) -> str:
 def _labels(rows: Sequence[str], lines: Sequence[str]) -> tuple[re.Pattern[str], list[str]]:
     """Return the pattern and the names of texts before the numbers of all last rows; none if a row differs.
 
-    A colon or an equals sign follows a name ("speed:1.5"), or, if no line is a header, the separator of the cells
-    ("speed,1.5,x,0.2").
+    A colon or an equals sign follows a name ("speed:1.5"), or, if no line is a header, the separator of the
+    cells ("speed,1.5,x,0.2").
     """
     for last in (rows[-CONSECUTIVE:], rows[-CONSECUTIVE - 1 : -1]):  # the last row may be incomplete
         if names := _labels_with_colon(last):

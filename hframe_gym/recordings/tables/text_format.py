@@ -77,8 +77,8 @@ def detect_format(path: Path) -> TextFormat:
     """Detect the format of a text file, possibly compressed by gzip, from its beginning.
 
     Raises:
-        InputError: If the file cannot be read, is empty or is not text, its first line is too long, or commas
-            are both separators and decimal marks.
+        InputError: If the file cannot be read, is empty or is not text, its first line is too long, the
+            header has a name too few, or commas are both separators and decimal marks.
     """
     encoding, deviations = _detect_encoding(path)
     lines = _first_lines(path, encoding)
@@ -99,9 +99,12 @@ def detect_format(path: Path) -> TextFormat:
     widths = (width, width - 1) if without_last else (width,)
     header, units, layout = detect_header(lines, cells, first, widths, separator)
     if NO_HEADER in layout and not without_last and width > 2:
-        # A name may be missing, which the reader refuses with the numbers of names and cells.
-        other = detect_header(lines, cells, first, (width, width - 1), separator)
-        header, units, layout = other if len(other[0]) < width else (header, units, layout)
+        fewer, _, _ = detect_header(lines, cells, first, (width, width - 1), separator)
+        if len(fewer) < width and not labels:
+            raise InputError(
+                f"{path}: the rows have {width} cells under {len(fewer)} names ({', '.join(fewer)}); "
+                "complete the header, or delete this line if it is none"
+            )
     if labels:
         header, units = [label or f"#{k}" for k, label in enumerate(labels, start=1)], [""] * len(labels)
         layout = [remark for remark in layout if remark != NO_HEADER]
@@ -160,23 +163,22 @@ def _are_empty_from(index: int, rows: Sequence[Sequence[str]]) -> bool:
 def open_text(path: Path, encoding: str) -> Iterator[tuple[TextIO, BinaryIO]]:
     """Open a text file, possibly compressed by gzip; errors while it is read are raised as InputError.
 
+    Bytes that are no text, such as a serial line garbles them, are read as U+FFFD, which no number has.
+
     Yields:
         Two streams: the text, with line feeds as line ends, and the underlying file, whose position shows how
         many bytes have been read.
 
     Raises:
-        InputError: If the file cannot be opened, decompressed or decoded.
+        InputError: If the file cannot be opened or decompressed.
     """
     try:
         with open(path, "rb") as file:
             compressed = file.read(2) == b"\x1f\x8b"
             file.seek(0)
             stream = cast(BinaryIO, gzip.GzipFile(fileobj=file)) if compressed else file
-            with io.TextIOWrapper(stream, encoding, newline=None) as text:
+            with io.TextIOWrapper(stream, encoding, "replace", newline=None) as text:
                 yield text, file
-    except UnicodeDecodeError as error:
-        name = encoding.removesuffix("-sig").upper()
-        raise InputError(f"{path}: cannot be read: not {name} text ({error.reason})") from None
     except EOFError:
         raise InputError(
             f"{path}: cannot be read: it ends in the middle of the compressed data. Copy it again, or unpack "

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ...arrays import Array
 from ...errors import InputError
 from ...files import refuse_expansion, refuse_long_line, refuse_many_values
-from .cells import MISSING_WORDS, is_missing, is_number_or_stamp, split_row
+from .cells import MISSING_WORDS, NUMBER, is_missing, is_number_or_stamp, is_row, split_row
 from .text_format import TextFormat, open_text
 
 # Called with the number of bytes of the file that were read since the last call.
@@ -32,6 +32,13 @@ _CELL_SEPARATOR = "\x1f"
 _SHOWN = 40  # characters of a faulty row that a message repeats
 # Lines below the data, such as settings of the controller: more than these are a damaged table.
 _MOST_LINES_BELOW = 100
+# Fraction of the rows of a log that may be damaged: a serial line loses some bytes, and a program prints some
+# lines of text among its numbers. A table of another layout, or with a name too few, differs in all rows.
+_MOST_DAMAGED = 0.1
+_NAMED = 3  # damaged rows that a remark names
+# A number of which something is lost or garbled, such as "1.2.5" or "0.1\ufffd3"; letters are a text, which
+# may mean something.
+_GARBLED = re.compile(r"(?:[-+.,\dEe]|[^\x20-\x7e])+")
 # Decimal commas become points. Points, which then separate thousands, become a character that numbers do not
 # have.
 _FOREIGN_MARK = "'"
@@ -67,9 +74,10 @@ def read_columns(
     """Read columns of numbers and time stamps from a text file.
 
     Args:
-        lenient: Whether to leave out comment lines, rows without any value, lines of text below the data, and
-            the last row if it is incomplete. Otherwise, these are errors, and a row without values is read as
-            NaN.
+        lenient: Whether to leave out comment lines, rows without any value, lines of text below the data and
+            some among the rows, and the last row if it is incomplete, and to read a few damaged rows as
+            empty, which have another number of cells than others. Otherwise, these are errors, and a row
+            without values is read as NaN.
         progress: Called with the number of bytes read since the last call.
         max_rows: Number of rows after which reading stops. Default: all rows are read.
         texts: Those of the columns whose cells are texts.
@@ -78,17 +86,19 @@ def read_columns(
         values: One array per column, in the unit of the file, shape (rows,): float64, NaN where a cell is
             empty, or datetime64[ns] for a column of time stamps (NaT where empty; times of day have the date
             1970-01-01), or texts as they are written.
-        remarks: Sentences for the user about lines and an incomplete last row that were left out.
+        remarks: Sentences for the user about lines and an incomplete last row that were left out, and about
+            damaged rows.
 
     Raises:
-        InputError: If the file cannot be read, rows differ in length, or a cell is not a number. The message
-            names file, row and column.
+        InputError: If the file cannot be read, rows differ in length, more than a tenth of them if `lenient`,
+            or a cell is not a number. The message names file, row and column.
     """
     reader = _BlockReader(path, layout, columns, lenient, texts)
     for block, is_last in _blocks(path, layout, progress):
         reader.add(block, is_last)
         if max_rows is not None and sum(map(len, reader.tables)) >= max_rows:
             break
+    reader.refuse_many_damaged_rows()
     table = np.concatenate([np.zeros((0, len(reader.numbers))), *reader.tables])[:max_rows]
     reader.tables.clear()
     values: dict[int, NDArray[Any]] = {
@@ -106,6 +116,7 @@ def read_columns(
         remarks.append(
             f"{reader.comments} comment line{'s' if reader.comments > 1 else ''} between the rows left out"
         )
+    remarks += reader.damage_remarks()
     if reader.incomplete:
         remarks.append("the last row is incomplete and left out")
     if reader.lines_below:
@@ -173,6 +184,9 @@ class _BlockReader:
         comments: Number of comment lines left out.
         incomplete: Whether the last row was left out.
         lines_below: Number of lines below the data left out.
+        damaged: Number and cells of each row that has too many or too few cells and is read as empty.
+        garbled: Number of the row, column and cell of each number that is garbled and read as empty.
+        texts_among: Number of the row above and cells of each line of text between the rows that is left out.
     """
 
     def __init__(
@@ -187,6 +201,9 @@ class _BlockReader:
         self.stamp_blocks: list[list[NDArray[np.datetime64]]] = []
         self.text_blocks: list[list[NDArray[np.str_]]] = []
         self.comments, self.incomplete, self.lines_below = 0, False, 0
+        self.damaged: list[tuple[int, list[str]]] = []
+        self.garbled: list[tuple[int, str, str]] = []
+        self.texts_among: list[tuple[int, list[str]]] = []
 
     def add(self, block: str, is_last: bool) -> None:
         """Convert one block of lines; the first faulty cell is refused."""
@@ -212,18 +229,101 @@ class _BlockReader:
                 self.incomplete, block = True, body
         if not block.strip():
             return
-        text, width = self._with_commas(block), len(self._layout.names)
-        rows = text.count("\n") + 1
-        regular = text.count(",") in (rows * (width - 1), rows * width)
-        if not regular:
+        text = self._with_commas(block)
+        if not (self._is_regular(text) and self._convert(text)):
+            block = self._without_damage(block) if self._lenient else block
+            if not block:
+                return
             self._refuse_faulty_cell(block)
-        if not self._convert(text):
-            self._refuse_faulty_cell(block)
-            last_row = self._rows + rows
-            raise InputError(f"{self._path}, rows {self._rows + 1} to {last_row}: cannot be read as numbers")
-        self._rows += rows
+            text = self._with_commas(block)
+            if not self._convert(text):
+                last_row = self._rows + text.count("\n") + 1
+                raise InputError(
+                    f"{self._path}, rows {self._rows + 1} to {last_row}: cannot be read as numbers"
+                )
+        self._rows += text.count("\n") + 1
         columns = len(self.numbers) + len(self.stamps) + len(self.texts)
         refuse_many_values(self._path, self._rows, columns)
+
+    def _is_regular(self, text: str) -> bool:
+        """Return whether lines, now with commas, have a cell for each name; an empty one may follow."""
+        width = len(self._layout.names)
+        return all(
+            (commas := line.count(",")) == width - 1 or (commas == width and line.endswith(","))
+            for line in text.split("\n")
+        )
+
+    def _has_width(self, row: Sequence[str]) -> bool:
+        """Return whether a row has one cell for each name; an empty one may follow."""
+        width = len(self._layout.names)
+        return len(row) in (width, width + 1) and not any(row[width:])
+
+    def _without_damage(self, block: str) -> str:
+        """Return lines with empty rows in place of damaged ones, which then keep their place in time.
+
+        Lines of text between the rows are left out. A garbled number becomes an empty cell.
+        """
+        lines, names, separator = [], self._layout.names, self._layout.separator
+        for line in block.split("\n"):
+            row, number = split_row(line, separator), self._rows + len(lines) + 1
+            kept = [cell for cell, kind in zip(row, self._layout.kinds, strict=False) if kind != "text"]
+            if kept and not is_row(kept):
+                self.texts_among.append((number - 1, row))
+                continue
+            if self._has_width(row):
+                for column in self.numbers:
+                    if _GARBLED.fullmatch(row[column]) and not NUMBER.fullmatch(row[column]):
+                        self.garbled.append((number, names[column], row[column]))
+                        row[column] = "nan"
+                        line = separator.join(f'"{c}"' if separator in c else c for c in row)
+            else:
+                self.damaged.append((number, row))
+                line = separator.join(["nan"] * len(names))
+            lines.append(line)
+        return "\n".join(lines)
+
+    def refuse_many_damaged_rows(self) -> None:
+        """Refuse the file if more than a tenth of its rows are damaged, or are lines of text."""
+        count = len(self.damaged) + len(self.garbled) + len(self.texts_among)
+        if count <= _MOST_DAMAGED * self._rows:
+            return
+        if self.damaged:
+            number, row = self.damaged[0]
+            self._refuse_width(number, row, len(self.damaged))
+        if self.garbled:
+            number, column, cell = self.garbled[0]
+            others = f"; {len(self.garbled)} cells are garbled so" if len(self.garbled) > 1 else ""
+            raise InputError(f"{self._path}, row {number}, column {column}: {cell!r} is not a number{others}")
+        number, row = self.texts_among[0]
+        self._refuse_width(number + 1, row, len(self.texts_among))
+
+    def _refuse_width(self, number: int, row: Sequence[str], count: int) -> None:
+        """Refuse a row that has another number of cells than the header has names, with how many do."""
+        cells = f"{len(row)} cell{'' if len(row) == 1 else 's'}"
+        more = f", and {count - 1} more such rows" if count > 1 else ""
+        advice = _faulty_row_advice(row)
+        if not self._lenient:
+            advice += "; or convert the file by hframe import, which leaves out a few such rows"
+        elif count > 1:
+            advice += "; up to a tenth of the rows may be damaged: delete these rows, or record the log again"
+        raise InputError(
+            f"{self._path}, row {number}: {cells} under {len(self._layout.names)} columns{more}{advice}"
+        )
+
+    def damage_remarks(self) -> list[str]:
+        """Return sentences for the user about damaged rows, garbled numbers and lines of text."""
+        remarks = []
+        width = len(self._layout.names)
+        if self.damaged:
+            rows = _listed([f"row {number} has {len(row)}" for number, row in self.damaged])
+            remarks.append(f"damaged rows are left empty: {rows} instead of {width} cells")
+        if self.garbled:
+            cells = _listed([f"row {number}, column {name}: {cell!r}" for number, name, cell in self.garbled])
+            remarks.append(f"garbled numbers are left empty: {cells}")
+        if self.texts_among:
+            lines = _listed([f"{_words(row)!r} after row {number}" for number, row in self.texts_among])
+            remarks.append(f"lines of text between the rows are left out: {lines}")
+        return remarks
 
     def _split_end(self, block: str) -> tuple[str, list[str]]:
         """Split lines into those up to the last row, and text below it, such as a controller's settings."""
@@ -292,11 +392,8 @@ class _BlockReader:
         names, position = self._layout.names, f"{self._path}, row "
         for number, line in enumerate(block.split("\n"), start=self._rows + 1):
             row = split_row(line, self._layout.separator)
-            if len(row) not in (len(names), len(names) + 1) or any(row[len(names) :]):
-                cells = f"{len(row)} cell{'' if len(row) == 1 else 's'}"
-                raise InputError(
-                    f"{position}{number}: {cells} under {len(names)} columns{_faulty_row_advice(row)}"
-                )
+            if not self._has_width(row):
+                self._refuse_width(number, row, 1)
             for column in (*self.numbers, *self.stamps):
                 cell = row[column]
                 if is_missing(cell):
@@ -320,8 +417,19 @@ class _BlockReader:
 
 def _faulty_row_advice(cells: Sequence[str]) -> str:
     """Say what to do about a row with another number of cells than its header."""
-    words = " ".join(filter(None, map(str.strip, cells)))
+    words = _words(cells)
     if not words[:1].isalpha():
         return "; is the row cut off?"
-    shown = words if len(words) <= _SHOWN else f"{words[:_SHOWN]}..."
-    return f", {shown!r}; delete the row, or begin it with # if it is a comment"
+    return f", {words!r}; delete the row, or begin it with # if it is a comment"
+
+
+def _words(cells: Sequence[str]) -> str:
+    """Return the beginning of the text in a row for a message."""
+    words = " ".join(filter(None, map(str.strip, cells)))
+    return words if len(words) <= _SHOWN else f"{words[:_SHOWN]}..."
+
+
+def _listed(places: Sequence[str]) -> str:
+    """List the first places of damage for a remark, and count the others."""
+    more = f" and {len(places) - _NAMED} more" if len(places) > _NAMED else ""
+    return ", ".join(places[:_NAMED]) + more

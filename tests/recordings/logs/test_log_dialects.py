@@ -106,7 +106,9 @@ DIALECTS = {
     "serial plotter, blanks": Dialect(
         plotted(" ", ": "), ("t", "u", "x"), ("", "", ""), "name of its column"
     ),
-    "names with equals signs": Dialect(plotted(" ", "="), ("t", "u", "x"), ("", "", ""), "name of its column"),
+    "names with equals signs": Dialect(
+        plotted(" ", "="), ("t", "u", "x"), ("", "", ""), "name of its column"
+    ),
     "names with blanks around equals signs": Dialect(
         plotted(", ", " = "), ("t", "u", "x"), ("", "", ""), "name of its column"
     ),
@@ -250,11 +252,56 @@ def test_lines_of_text_below_the_data_are_left_out_and_counted(
     assert "; ".join(remarks) == said
 
 
-@pytest.mark.parametrize("below", ["x,y\n" * 101, "pause\n30,1,2\n", "30,1,2,4,5\n31,1,2\n"])
-def test_lines_of_text_among_rows_are_refused(below: str, tmp_path: Path) -> None:
-    log = opened(tmp_path, "t,u,x\n" + "".join(f"{k},0,1\n" for k in range(30)) + below)
-    with pytest.raises(InputError, match="row 31"):
-        log.read(log.columns)
+def test_many_lines_of_text_below_few_rows_are_refused(tmp_path: Path) -> None:
+    text = "t,u,x\n" + "".join(f"{k},0,1\n" for k in range(30)) + "x,y\n" * 150
+    with pytest.raises(InputError, match=r"row 31: 2 cells under 3 columns, and \d\d more such rows, 'x y'"):
+        opened(tmp_path, text).read([])
+
+
+DAMAGE = {
+    "cut": ("0.2,1", "row 21 has 2 instead of 3 cells", [0, 1, 2]),
+    "two rows in one": ("0.2,1,20.21,2,10.5", "row 21 has 5 instead of 3 cells", [0, 1, 2]),
+    "a garbled number": ("0.2,1.2.5,10", "row 21, column u: '1.2.5'", [1]),
+    "a byte that is no text": ("0.2,1,1\x815", "row 21, column x: '1\ufffd5'", [2]),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+@pytest.mark.parametrize("separator", [",", " ", ";"])
+def test_a_damaged_row_is_read_as_empty_and_named(damage: str, separator: str, tmp_path: Path) -> None:
+    line, said, empty = DAMAGE[damage]
+    lines = [f"{0.01 * k:.2f},{k % 3},{0.5 * k}" for k in range(50)]
+    lines[20] = line
+    text = "t,u,x\n" + "\n".join(lines)
+    (tmp_path / "log.txt").write_bytes(text.replace(",", separator).encode("latin-1"))
+    (log,) = open_logs(tmp_path / "log.txt")
+    values, remarks = log.read(log.columns)
+    assert said in "; ".join(remarks)
+    table = np.array(values)
+    assert table.shape == (3, 50)
+    rows, columns = np.nonzero(np.isnan(table.T))
+    assert set(rows) == {20}
+    assert list(columns) == empty
+    np.testing.assert_allclose(table[2, 21:], 0.5 * np.arange(21, 50))
+
+
+@pytest.mark.parametrize("separator", [",", " "])
+def test_lines_of_text_among_rows_are_left_out_and_named(separator: str, tmp_path: Path) -> None:
+    lines = [f"{0.01 * k:.2f},{k % 3},{0.5 * k}" for k in range(50)]
+    lines[40:40] = ["t,u,x"]
+    lines[20:20] = ["Motor,is,on"]
+    log = opened(tmp_path, "t,u,x\n" + "\n".join(lines).replace(",", separator))
+    values, remarks = log.read(log.columns)
+    np.testing.assert_allclose(values[2], 0.5 * np.arange(50))
+    assert "left out: 'Motor is on' after row 20, 't u x' after row 40" in "; ".join(remarks)
+
+
+def test_two_damaged_rows_whose_cells_make_up_for_each_other_shift_no_value(tmp_path: Path) -> None:
+    lines = [f"{0.01 * k:.2f},{k % 3},{0.5 * k}" for k in range(50)]
+    lines[10], lines[20] = "9,0.1,1,5", "0.2,1"
+    log = opened(tmp_path, "t,u,x\n" + "\n".join(lines))
+    times, _ = log.read(log.columns[:1])
+    assert np.flatnonzero(np.isnan(times[0])).tolist() == [10, 20]
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 20])

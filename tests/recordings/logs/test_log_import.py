@@ -833,7 +833,16 @@ def test_an_ambiguous_or_impossible_mapping_is_refused(
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
-        (lambda t: with_line(t, 40, "0.0385,1,2"), "row 40: 3 cells under 7 columns"),
+        (
+            lambda t: "\n".join(
+                line[:30] if k % 5 == 4 else line for k, line in enumerate(text_of(t).split("\n"))
+            ),
+            r"row \d+: \d cells under 7 columns, and \d+ more such rows; is the row cut off\?; up to a tenth",
+        ),
+        (
+            lambda t: text_of(t).replace("time_s,", "", 1),
+            r"the rows have 7 cells under 6 names \(v1_V, .*, y_m\); complete the header",
+        ),
         (lambda t: with_line(t, 40, "0.0385,1,2,a,1,1,1"), "row 40, column phi1_rad: 'a' is not a number"),
         (
             lambda t: with_line(t, 40, "0.0005,1,2,1,1,1,1"),
