@@ -263,7 +263,8 @@ class _BlockReader:
 
         Lines of text between the rows are left out. A garbled number becomes an empty cell.
         """
-        lines, names, separator = [], self._layout.names, self._layout.separator
+        names, separator = self._layout.names, self._layout.separator
+        lines: list[str] = []
         for line in block.split("\n"):
             row, number = split_row(line, separator), self._rows + len(lines) + 1
             kept = [cell for cell, kind in zip(row, self._layout.kinds, strict=False) if kind != "text"]
