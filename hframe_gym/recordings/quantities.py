@@ -79,6 +79,7 @@ QUANTITIES: dict[str, Quantity] = {
         "angle winkel theta phi rotation rotations turns heading yaw pitch roll",
         "position",
     ),
+    # The symbols of a joint's position, speed and acceleration in robotics are in `_JOINT`.
     "position": Quantity("a", {}, "position pos encoder laser", "position"),
     "linear speed": Quantity(
         "a",
@@ -208,12 +209,27 @@ _QUOTIENT = re.compile(
     re.IGNORECASE,
 )
 _TOKENS = re.compile(r"[A-ZÄÖÜ]+(?![a-zäöü])|[A-ZÄÖÜ]?[a-zäöüßéèêµ]+")
+# Symbols of the joints of a robot, with or without the number of the joint: "q_0", "actual_qd_1", "ddq[2]".
+# They are no words: a "voltage q" is that of the quadrature axis.
+_JOINT_ROLES = "actual|act|measured|meas|joint|ist|target|desired|des|commanded|cmd|ref|soll"
+_JOINT = re.compile(
+    rf"(?:(?:{_JOINT_ROLES})_)*(?P<symbol>q|qd|dq|qdd|ddq)_?\d*"
+    rf"(?:_(?:{_JOINT_ROLES}|(?P<desired>d)))?(?:_?\d+|\[\d+\])?"
+)
+_JOINT_QUANTITIES = {
+    "q": "position",
+    "qd": "speed",
+    "dq": "speed",
+    "qdd": "acceleration",
+    "ddq": "acceleration",
+}
+_INDEXED = re.compile(r".*[^\W\d]\[\d+\]")  # item of a list, "q[0]", and no unit
 _LONG = 5  # letters; a shorter word is recognized only if it stands alone: "pos" is not in "possible"
 
 # Words that say what a value is for. A set point is no measurement, a control error no position.
 _SET_POINT = (
     *("target", "setpoint", "set", "reference", "ref", "command", "commanded", "cmd"),
-    *("goal", "desired", "demand", "action"),
+    *("goal", "desired", "des", "demand", "action"),
     *("soll", "sollwert", "vorgabe", "consigne"),
 )
 _DEVIATION = ("error", "err", "deviation", "regelabweichung")
@@ -291,7 +307,7 @@ def split_unit(header: str) -> tuple[str, str]:
     plain = header.strip()
     if len(plain) > _LONGEST_HEADER:
         return plain, ""
-    match = _BRACKETED.fullmatch(header)
+    match = None if _INDEXED.fullmatch(plain) else _BRACKETED.fullmatch(header)
     if match and match["name"]:
         return match["name"].strip(), normalize_unit(match["unit"])
     match = _QUOTIENT.fullmatch(plain)
@@ -368,8 +384,9 @@ def _named_quantity(name: str) -> str:
     The last word decides: a "torque current" is a current. Therefore "current", which also means "present",
     is overruled by a word after it ("current position").
     """
-    found = ""
-    for token in _tokens(name):
+    joint = _JOINT.fullmatch(name)
+    found = _JOINT_QUANTITIES[joint["symbol"]] if joint else ""
+    for token in () if joint else _tokens(name):
         longest = 0
         for quantity, entry in QUANTITIES.items():
             for word in entry.words:
@@ -380,6 +397,9 @@ def _named_quantity(name: str) -> str:
 
 def _role(name: str) -> Role:
     """Return whether a name says that the value is a set point or a control error."""
+    joint = _JOINT.fullmatch(name)
+    if joint and joint["desired"]:
+        return "set point"
     for token in _tokens(name):
         if any(_is_word(token, word) for word in _DEVIATION):
             return "control error"

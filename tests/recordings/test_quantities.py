@@ -49,6 +49,8 @@ from hframe_gym.recordings.quantities import QUANTITIES, meaning_of, normalize_u
         ("v_in", "v_in", ""),  # the voltage at an input
         ("x_min", "x_min", ""),  # a minimum
         ("x_s", "x_s", ""),  # a set point
+        ("position[0]", "position[0]", ""),  # the first of a list
+        ("position [0]", "position", "0"),
         ("_" * 70_000, "_" * 70_000, ""),
         ("a " * 35_000, ("a " * 35_000).strip(), ""),
     ],
@@ -86,6 +88,19 @@ def test_name_and_unit_of_a_header_are_separated(header: str, name: str, unit: s
         ("sample", "row number", ""),
         ("enable", "state", ""),
         ("counter [#]", "count", ""),
+        ("q_0", "position", ""),
+        ("q1", "position", ""),
+        ("q[1]", "position", ""),
+        ("qd_0", "speed", ""),
+        ("dq1", "speed", ""),
+        ("actual_qd_1", "speed", ""),
+        ("ddq_2", "acceleration", ""),
+        ("tau_1", "torque", ""),
+        ("target_q_0", "position", "set point"),
+        ("q_des_0", "position", "set point"),
+        ("dq_d[0]", "speed", "set point"),
+        ("voltage.q", "voltage", ""),  # of the quadrature axis
+        ("uq", "", ""),
         ("U1", "", ""),
         ("Wert", "", ""),
     ],
