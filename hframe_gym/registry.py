@@ -114,23 +114,28 @@ class Registry(Generic[T]):
         kind: What the collection holds, for error messages, for example "controller".
         package: Full name of a package whose modules register further parts. It is imported when an unknown
             name is looked up or all names are listed.
+        base: Class from which all parts must inherit; None if there is none.
     """
 
-    def __init__(self, kind: str, package: str = "") -> None:
+    def __init__(self, kind: str, package: str = "", base: type | None = None) -> None:
         self.kind = kind
-        self._package = package
+        self._package, self._base = package, base
         self._parts: dict[str, T] = {}
 
     def register(self, name: str) -> Callable[[P], P]:
         """Return a decorator that adds a class or function to the registry, under a name for options.
 
         Raises:
+            TypeError: When the decorator is applied, if the class does not inherit from the registry's base.
             ValueError: When the decorator is applied, if another class or function has the name. A class or
                 function with the same file and `__qualname__` as the registered one, for example of a
                 reloaded module, is not another one and replaces it.
         """
 
         def add(part: P) -> P:
+            base = self._base
+            if base is not None and not (isinstance(part, type) and issubclass(part, base)):
+                raise TypeError(f"{self.kind} {name!r}: {part!r} must be a subclass of {base.__name__}")
             present = self._parts.get(name)
             if present is not None and _origin(present) != _origin(part):
                 raise ValueError(f"{self.kind} {name!r} is registered already")

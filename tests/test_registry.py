@@ -34,6 +34,15 @@ def test_a_name_cannot_be_registered_for_two_parts() -> None:
         numbers.register("one")(2)
 
 
+@pytest.mark.parametrize("part", [object(), object, len])
+def test_a_part_that_does_not_inherit_from_the_base_is_refused(part: object) -> None:
+    from hframe_gym.machine import SENSOR_KINDS
+
+    with pytest.raises(TypeError, match=r"sensor kind 'thermometer': .* must be a subclass of SensorKind"):
+        SENSOR_KINDS.register("thermometer")(part)
+    assert "thermometer" not in SENSOR_KINDS
+
+
 def test_classes_of_the_same_name_in_two_files_are_different(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

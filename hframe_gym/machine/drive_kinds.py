@@ -82,7 +82,7 @@ class DriveKind:
         return FIXED_UNITS.get(cls.command) or UNITS[coordinate][cls.command]
 
 
-DRIVE_KINDS: Registry[type[DriveKind]] = Registry("drive kind", package="hframe_gym.drives")
+DRIVE_KINDS: Registry[type[DriveKind]] = Registry("drive kind", package="hframe_gym.drives", base=DriveKind)
 
 
 @DRIVE_KINDS.register("voltage")

@@ -101,7 +101,7 @@ def _quantity_of(signal: Callable[[Any], Any]) -> SensorQuantity:
     return cast(SensorQuantity, names[0])
 
 
-SENSOR_KINDS: Registry[type[SensorKind]] = Registry("sensor kind")
+SENSOR_KINDS: Registry[type[SensorKind]] = Registry("sensor kind", base=SensorKind)
 
 
 @SENSOR_KINDS.register("encoder")

@@ -15,7 +15,7 @@ import numpy as np
 from ...arrays import Array
 from ...effects import effect_sites
 from ...effects.smooth_table import TABLE_FAMILY
-from ...errors import InputError
+from ...errors import InputError, is_number, suggestion
 from ...machine import AppliedEffect, Effect, EffectParameter, Machine
 from ...preparation.dataset import Dataset
 from ...registry import Registry
@@ -209,12 +209,15 @@ class SearchState:
             values: Starting values, SI, by name, of all parameters of the effect but amplitude and phase.
 
         Raises:
-            InputError: If a value is missing or no such parameter exists.
+            InputError: If the effect cannot act at the site, a value is missing or not finite, or no such
+                parameter exists.
         """
+        _refuse_site(effect, site, self.machine)
         names = {p.name for p in effect.parameters if p.role not in ("amplitude", "phase")}
         if set(values) != names:
             needed, given = (", ".join(sorted(each)) or "no values" for each in (names, values))
             raise InputError(f"a candidate of {effect.name} starts from {needed}, not from {given}")
+        _refuse_values(effect, site, values)
         sizes = self.sizes(effect, site)
         return Candidate(effect, site, _columns(effect, values, sizes), sizes)
 
@@ -231,11 +234,12 @@ def candidates(state: SearchState) -> list[Candidate]:
 
     Returns:
         Candidates, those of one strategy after those of another, in the order of the strategies' names.
-        Proposals at other sites than `SearchState.sites`, and with values that the runs cannot show, are left
-        out.
+        Proposals at components that are not in `SearchState.sites`, such as where the machine has the effect
+        already, and with values that the runs cannot show, are left out.
 
     Raises:
         TypeError: If a strategy returns something else than candidates; the message names it.
+        InputError: If a strategy proposes an effect where it cannot act, or from values that are not finite.
     """
     proposed = [candidate for name in sorted(STRATEGIES) for candidate in _proposed(name, state)]
     sites = {c.effect.name: state.sites(c.effect) for c in proposed}
@@ -245,15 +249,39 @@ def candidates(state: SearchState) -> list[Candidate]:
 
 
 def _proposed(name: str, state: SearchState) -> list[Candidate]:
-    """Return the candidates of a strategy; raise a TypeError if it returns something else."""
-    proposed = STRATEGIES.get(name)(state)
-    found = list(proposed) if isinstance(proposed, Iterable) else [proposed]
-    for candidate in found:
-        if not isinstance(candidate, Candidate):
-            raise TypeError(
-                f"proposal strategy {name}: proposes {candidate!r}; it must yield state.candidate(...)"
-            )
+    """Return the candidates of a strategy; errors name it, as where it returns something else."""
+    try:
+        proposed = STRATEGIES.get(name)(state)
+        found = list(proposed) if isinstance(proposed, Iterable) else [proposed]
+        for candidate in found:
+            if not isinstance(candidate, Candidate):
+                raise TypeError(f"proposes {candidate!r}; it must yield state.candidate(...)")
+            _refuse_site(candidate.effect, candidate.site, state.machine)
+            for column in candidate.columns:
+                _refuse_values(candidate.effect, candidate.site, column)
+    except (InputError, TypeError) as error:
+        kind = InputError if isinstance(error, InputError) else TypeError
+        raise kind(f"proposal strategy {name}: {error}") from error
     return found
+
+
+def _refuse_site(effect: Effect, site: str, machine: Machine) -> None:
+    """Refuse a component of a machine on which an effect cannot act."""
+    sites = effect.possible_sites(machine)
+    if site not in sites:
+        hint = suggestion(site, sites) or f"; its sites are {', '.join(sites) or 'none'}"
+        raise InputError(
+            f"{effect.name} cannot act at {site!r}{hint}. state.sites(effect) lists where to try it"
+        )
+
+
+def _refuse_values(effect: Effect, site: str, values: Mapping[str, float]) -> None:
+    """Refuse a starting value of an effect that is not a finite number."""
+    for parameter, value in values.items():
+        if not is_number(value):
+            raise InputError(
+                f"{effect.name}@{site} starts from {parameter} = {value!r}, which must be finite"
+            )
 
 
 def is_required(machine: Machine, label: str) -> bool:

@@ -39,14 +39,13 @@ def known_period() -> Iterator[None]:
         for site in state.sites(FRICTION):
             yield state.candidate(FRICTION, site, {"L": PERIOD})
             yield state.candidate(FRICTION, site, {"L": 1e3 * state.sizes(FRICTION, site)["position"]})
-        yield state.candidate(FRICTION, "no such place", {"L": PERIOD})
 
     yield
     STRATEGIES.unregister("rail")
 
 
 def test_the_search_ranks_what_a_strategy_proposes(state: SearchState, known_period: None) -> None:
-    """The known period comes first; a period longer than the travel and an unknown site are left out."""
+    """The known period comes first; a period longer than the travel is left out."""
     proposed = [candidate for candidate in candidates(state) if candidate.effect is FRICTION]
     lengths = [candidate.columns[0]["L"] for candidate in proposed]
     assert PERIOD in lengths
@@ -62,6 +61,31 @@ def test_a_strategy_that_proposes_something_else_is_named(state: SearchState, pr
     STRATEGIES.register("rail")(lambda state: proposed)
     try:
         with pytest.raises(TypeError, match=r"strategy rail: proposes .*; it must yield state\.candidate"):
+            candidates(state)
+    finally:
+        STRATEGIES.unregister("rail")
+
+
+@pytest.mark.parametrize(
+    ("site", "period", "message"),
+    [
+        ("z", PERIOD, r"strategy rail: position_friction cannot act at 'z'; its sites are x\."),
+        ("x", np.nan, r"strategy rail: position_friction@x starts from L = nan, which must be finite"),
+    ],
+)
+@pytest.mark.parametrize("direct", [False, True])
+def test_a_strategy_that_proposes_an_impossible_candidate_is_named(
+    site: str, period: float, message: str, direct: bool, state: SearchState
+) -> None:
+    def rail(state: SearchState) -> Iterator[Candidate]:
+        if direct:
+            yield Candidate(FRICTION, site, ({"A": 1.0, "L": period, "p": 0.0},), {})
+        else:
+            yield state.candidate(FRICTION, site, {"L": period})
+
+    STRATEGIES.register("rail")(rail)
+    try:
+        with pytest.raises(InputError, match=message):
             candidates(state)
     finally:
         STRATEGIES.unregister("rail")
