@@ -239,8 +239,8 @@ class Effect:
         range_ends: Names of the parameters that are the lowest and the highest measurement of a sensor, if
             the effect limits its range (`Machine.measuring_ranges`).
         starting_values: For an effect of a sensor, function (measurements of each run, shapes (m,), and their
-            noise, in the sensor's unit) -> sets of starting values of a search, by parameter name. Default: those of
-            the parameters' `grid`.
+            noise, in the sensor's unit) -> sets of starting values of a search, by parameter name. Default:
+            those of the parameters' `grid`.
         signal_order: Place on the way of a signal. Where several effects change the same voltage, current or
             measurement, those with smaller numbers act first, in whichever order they are listed in the
             machine.

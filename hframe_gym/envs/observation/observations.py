@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...arrays import Array, EnvironmentCounts, EnvironmentParameters, EpisodeKeys, Index
+from ...arrays import EnvironmentCounts, EnvironmentParameters, EpisodeKeys, Index
 from ...dynamics import LANES
 from ...dynamics.codegen.blocks import write_block
 from ...dynamics.codegen.compiled import compiled

@@ -1,7 +1,7 @@
 """The plausibility of a machine with identified effects: whether it is physical where no recording reaches.
 
 A fit constrains an effect only where the recordings reach. Beyond, a belt that softens with extension may
-lose all tension, and a machine file that simulates its recordings may diverge under the voltages of a
+lose all tension, and a machine file that simulates its recordings may then diverge under the voltages of a
 controller in training.
 """
 
@@ -15,35 +15,12 @@ import numpy as np
 
 from ...arrays import Array
 from ...dynamics import simulate_batch
-from ...machine import Belt, Machine, rest_state
+from ...machine import Machine, rest_state
 from ..judge.effect import MachineBehavior, fault_of_machine
 
 _HISTORIES, _SECONDS, _PERIOD = 4, 2.0, 1e-3  # s
 # s, mean time between two jumps of a voltage; longer ones drive a carriage out of its workspace.
 _MEAN_HOLD = 0.02
-_REACH = 1.5  # extensions are checked up to this multiple of those that the rated voltage causes
-_EXTENSION_POINTS = 401
-_FLAT = 1e-9  # fraction of the largest tension that counts as rounding error
-
-
-def monotonic_belts(machine: Machine) -> bool:
-    """Check that no belt loses tension when it is extended as far as the rated voltage can extend it.
-
-    The largest extension of each belt is simulated for the machine without its effects, under voltages that
-    switch at random between the positive and the negative rated voltage, and multiplied by 1.5. A tension
-    that is constant (play, slack) is allowed.
-
-    Returns:
-        True if the tension of no belt falls, and for a machine without effects on belts.
-    """
-    effects_on_belts = [e for e in machine.effects if e.definition.tension]
-    if not effects_on_belts:
-        return True
-    bare = _without_effects(machine)
-    positions, _ = _random_motions(bare)
-    extensions = np.abs(positions @ bare.belt_matrix.T).max(axis=(0, 1))  # (belts,), m
-    # With a margin, because the effects may let the belts stretch further than without them.
-    return all(_monotonic(machine, b, _REACH * s) for b, s in zip(machine.belts, extensions, strict=True))
 
 
 def top_speeds(machine: Machine) -> tuple[float, float]:
@@ -105,22 +82,7 @@ def plausibility_fault(machine: Machine) -> str:
         for parameter in effect.definition.parameters
         if effect.parameters[parameter.name] < parameter.named_from
     ]
-    return fault_of_machine(MachineBehavior(monotonic_belts(machine), lambda: top_speeds(machine), misnamed))
-
-
-def _monotonic(machine: Machine, belt: Belt, reach: float) -> bool:
-    """Return whether the tension of a belt does not fall for extensions from -reach to reach, m."""
-    extension, stiffness = np.linspace(-reach, reach, _EXTENSION_POINTS), belt.EA / belt.rest_length
-    linear = stiffness * extension
-    tension = linear
-    for effect in machine.effects:
-        if effect.definition.tension and belt.name in effect.components(machine):
-            site = machine.coordinate_of_site(effect.site, effect.definition.site)
-            per_radius = 1.0 / machine.coordinate(site).travel_per_unit if site else 1.0
-            still = np.zeros_like(extension)
-            with_effect = effect("tension", s=extension, rate=still, k=stiffness, per_radius=per_radius)
-            tension = tension + with_effect - linear
-    return bool(np.all(np.diff(tension) >= -_FLAT * np.abs(linear).max()))
+    return fault_of_machine(MachineBehavior(lambda: top_speeds(machine), misnamed))
 
 
 def _without_effects(machine: Machine) -> Machine:

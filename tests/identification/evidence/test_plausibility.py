@@ -9,7 +9,6 @@ import pytest
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification.evidence.plausibility import (
-    monotonic_belts,
     plausibility_fault,
     speeds_inside,
 )
@@ -34,20 +33,19 @@ def test_belts_of_the_library_pass(case: Case, hframe: Machine) -> None:
 def test_softening_that_turns_over_fails(site: str, hframe: Machine) -> None:
     """The tension k s (1 + h s^2) falls from s = 1 / sqrt(-3 h) on, which is 2.6 mm here."""
     machine = hframe.with_effects(EFFECTS["belt_hardening"].at(site, h=-5e4))
-    assert not monotonic_belts(machine)
-    assert "tension of a belt" in plausibility_fault(machine)
+    assert "diverge" in plausibility_fault(machine)
 
 
-def test_slight_softening_passes(hframe: Machine) -> None:
-    """The tension would fall from 180 mm on, where no voltage leads."""
-    machine = hframe.with_effects(EFFECTS["belt_hardening"].at("belts", h=-10.0))
+@pytest.mark.parametrize("name", ["hframe", "belt-axis", "printer"])
+def test_slight_softening_passes(name: str) -> None:
+    """The tension would fall from 180 mm on, where no voltage leads inside the workspace."""
+    machine = BUILTIN_MACHINES[name]().with_effects(EFFECTS["belt_hardening"].at("belts", h=-10.0))
     assert plausibility_fault(machine) == ""
 
 
 def test_machine_that_diverges_fails(hframe: Machine) -> None:
     """Drag that accelerates."""
     drag = hframe.with_effects(EFFECTS["quadratic_drag"].at("x", c=-500.0))
-    assert monotonic_belts(drag)
     assert "diverge" in plausibility_fault(drag)
 
 
