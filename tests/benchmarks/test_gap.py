@@ -40,7 +40,7 @@ from hframe_gym.recordings import save_machine
 from tests.reference_simulator import Array, Rig, simulate
 from tests.rigs.random_effects import draw_effect
 from tests.rigs.random_rigs import Residue
-from tools.tables.gap import gap_plants, gap_scored_by
+from tools.tables.gap import gap_scored_by, plants_table
 
 REACH = Reach()
 CIRCLE = Track(path="circle", size=0.05, speed=0.3)
@@ -395,7 +395,7 @@ def test_a_refused_plant_has_a_row_with_the_reason(tmp_path: Path, monkeypatch: 
     summary = summarize(read_all(tmp_path))
     assert summary["entries"]["choosy"]["plants"] == 2
     assert summary["refused"] == [{"entry": "choosy", "plant": 1, "reason": "no controller for this plant"}]
-    cells = gap_plants(summary, ("choosy", "still")).splitlines()[3].split(" | ")
+    cells = plants_table(summary, ("choosy", "still")).splitlines()[3].split(" | ")
     assert cells[2:] == ["refused", "1.500 |"]
     monkeypatch.setattr(Choosy, "prepare", Still.prepare)
     run(

@@ -9,7 +9,11 @@ from typing import Any
 from tools.tables.result_tables import markdown, table, with_interval
 
 
+HELD = "gap_71000"  # summary of the held set: seed 71000
+
+
 @table("gap")
+@table(HELD)
 def gap(results: dict[str, Any]) -> str:
     """Format the scores of the entries of gap-v1, sorted by settling time over the bound."""
     rows = [
@@ -53,6 +57,7 @@ def gap(results: dict[str, Any]) -> str:
 
 
 @table("gap_steps", source="gap")
+@table(f"{HELD}_steps", source=HELD)
 def gap_steps(results: dict[str, Any]) -> str:
     """Format how often each model of the plant is better than the declared one in gap-v1."""
     rows = []
@@ -68,6 +73,7 @@ def gap_steps(results: dict[str, Any]) -> str:
 
 
 @table("gap_scored_by", source="gap")
+@table(f"{HELD}_scored_by", source=HELD)
 def gap_scored_by(results: dict[str, Any]) -> str:
     """Format which code scored which entries of gap-v1 on which plants; seeds of an agent are joined."""
     rows = []
@@ -182,10 +188,22 @@ _OF_TWO_CONTROLLERS = tuple(
 
 
 @table("gap_plants", source="gap")
-def gap_plants(results: dict[str, Any], names: Sequence[str] = _OF_TWO_CONTROLLERS) -> str:
-    """Format what each plant of gap-v1 hides, what was identified, and settling times of some entries.
+def gap_plants(results: dict[str, Any]) -> str:
+    """Format what each plant of gap-v1 hides, what was identified, and settling times of two controllers."""
+    return plants_table(results, _OF_TWO_CONTROLLERS)
+
+
+@table(f"{HELD}_plants", source=HELD)
+def gap_held_plants(results: dict[str, Any]) -> str:
+    """Format what each plant of the held set hides, what was identified, and all entries' settling times."""
+    return plants_table(results, sorted(results["entries"]))
+
+
+def plants_table(results: dict[str, Any], names: Sequence[str]) -> str:
+    """Format what each plant hides, what was identified, and the settling times of some entries.
 
     Args:
+        results: Summary of a set of plants.
         names: Names of the entries; those without results are left out.
     """
     names = [name for name in names if name in results["entries"]]
