@@ -14,7 +14,10 @@ Measures:
     recording: simulations per second of one recording of 2 s at 1 kHz by `Machine.simulate`.
     vector: environment steps per second of 4096 environments by `gym.make_vec`, default randomization.
     rig: the same with the sensors and drives of the rig.
+    small: the same of 32 environments, where the calls take most of the time.
     single: environment steps per second of one environment by `gym.make`, resets included.
+    normalized: the same with `normalize=True`.
+    track: the same of `HFrameTrack-v0`.
 
 Nothing is written to benchmarks/results/, because a ratio belongs to two commits. The exit code is 1 if a
 ratio in processor time is below --bar.
@@ -37,7 +40,7 @@ from rich.table import Table
 from tools.command_line import command_line
 
 ROOT = Path(__file__).resolve().parents[1]
-MEASURES = ("kernel", "recording", "vector", "rig", "single")
+MEASURES = ("kernel", "recording", "vector", "rig", "small", "single", "normalized", "track")
 BAR = 0.95
 
 # Runs in each checkout. It uses only names that all checkouts have: those of the contract, and KernelBatch.
@@ -47,7 +50,7 @@ import numpy as np
 import gymnasium as gym
 import hframe_gym
 
-SEED, COUNT, STEPS = 3, 4096, 150
+SEED, COUNT = 3, 4096
 
 def kernel():
     try:
@@ -70,18 +73,18 @@ def recording():
         return 200
     return timed(run)
 
-def vector(**options):
-    envs = gym.make_vec("HFrame-v0", num_envs=COUNT, randomize="default", **options)
+def vector(count=COUNT, steps=150, **options):
+    envs = gym.make_vec("HFrame-v0", num_envs=count, randomize="default", **options)
     envs.reset(seed=SEED)
-    actions = np.random.default_rng(SEED).uniform(-1, 1, (STEPS, COUNT, 2)).astype(np.float32)
+    actions = np.random.default_rng(SEED).uniform(-1, 1, (steps, count, 2)).astype(np.float32)
     def run():
         for action in actions:
             envs.step(action)
-        return STEPS * COUNT
+        return steps * count
     return timed(run)
 
-def single():
-    env = gym.make("HFrame-v0")
+def single(name="HFrame-v0", **options):
+    env = gym.make(name, **options)
     env.reset(seed=SEED)
     actions = np.random.default_rng(SEED).uniform(-1, 1, (3000, 2)).astype(np.float32)
     def run():
@@ -101,7 +104,8 @@ def timed(run):
     return rates
 
 MAKE = {"kernel": kernel, "recording": recording, "vector": vector,
-        "rig": lambda: vector(sensors="rig", drives="rig"), "single": single}
+        "rig": lambda: vector(sensors="rig", drives="rig"), "small": lambda: vector(32, 3000),
+        "single": single, "normalized": lambda: single(normalize=True), "track": lambda: single("HFrameTrack-v0")}
 ready = {}
 answers = sys.stdout
 sys.stdout = sys.stderr

@@ -89,21 +89,19 @@ def evaluate_rows(
     # One loop for each operation, which the compiler vectorizes.
     for b in range(first, last):
         distance[b] = row_distance(tool, desired, b)
+    seen = reward if measured else distance
     if measured:
         for b in range(first, last):
-            reward[b] = row_distance(achieved, desired, b)
-    else:
-        for b in range(first, last):
-            reward[b] = distance[b]
+            seen[b] = row_distance(achieved, desired, b)
     if kind == _SPARSE:
         for b in range(first, last):
-            reward[b] = 0.0 if reward[b] <= band else -1.0
+            reward[b] = 0.0 if seen[b] <= band else -1.0
     elif kind == PROGRESS:
         for b in range(first, last):
-            reward[b] = -math.log1p(reward[b] * meters / PROGRESS_SCALE)
+            reward[b] = -math.log1p(seen[b] * meters / PROGRESS_SCALE)
     elif kind == _ARRIVAL:
         for b in range(first, last):
-            d = reward[b] * meters
+            d = seen[b] * meters
             numerator, denominator = 0.0, 1.0
             for scale, weight in zip(SCALES, ARRIVAL_WEIGHTS):  # noqa: B905 (compiled)
                 numerator = numerator * (d + scale) + weight * denominator * d
@@ -111,7 +109,7 @@ def evaluate_rows(
             reward[b] = -numerator / denominator
     else:
         for b in range(first, last):
-            d = reward[b] * meters
+            d = seen[b] * meters
             # The sum of d / (d + scale) as one fraction: a division costs as much as ten products.
             numerator, denominator = 0.0, 1.0
             for scale in SCALES:

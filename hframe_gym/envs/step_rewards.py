@@ -224,9 +224,7 @@ class StepRewards:
         `compute` needs them to compute the reward "progress" again, for example for relabeled goals. Right
         after a reset they are the present goals. The dict is empty for rewards other than "progress".
         """
-        return {
-            f"previous_{key}": np.array(self._format.goal_as_observed(g)) for key, g in self._before.items()
-        }
+        return {f"previous_{key}": self._format.goal_as_observed(g) for key, g in self._before.items()}
 
     def compute(self, achieved_goal: Any, desired_goal: Any, info: Any = None) -> Any:
         """Compute rewards from achieved and desired goals, for example after hindsight relabeling.

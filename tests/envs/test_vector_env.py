@@ -7,6 +7,7 @@ from gymnasium.error import Error
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import hframe_gym  # noqa: F401  (registers the environments)
+from hframe_gym.dynamics import LANES, NotFiniteError
 from hframe_gym.envs import HFrameVectorEnv
 from hframe_gym.envs import environment_batch as batch_module
 from hframe_gym.errors import InputError
@@ -243,3 +244,17 @@ def test_attributes_and_methods_of_the_environments_are_reached_as_in_gymnasium(
         envs.get_attr("mass")
     with pytest.raises(AttributeError, match="have no attribute 'penalty'"):  # an option, which is read once
         envs.set_attr("penalty", 3.0)
+
+
+@pytest.mark.parametrize("sensors", ["state", "rig"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_motion_that_is_not_finite_is_reported_with_the_first_environment(sensors, value):
+    count, broken = 40, (21, 23, 38)
+    envs = gym.make_vec("HFrame-v0", num_envs=count, sensors=sensors)
+    envs.reset(seed=0)
+    envs.step(np.zeros((count, 2), np.float32))
+    for b in broken:
+        block, lane = divmod(b, LANES)
+        envs.unwrapped.batch.simulator.state[block, 0, lane] = value
+    with pytest.raises(NotFiniteError, match="environment 21: the motion of machine 'hframe' is not finite"):
+        envs.step(np.zeros((count, 2), np.float32))

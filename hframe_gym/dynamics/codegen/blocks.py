@@ -5,6 +5,7 @@ In a block, each machine has a column ("lane").
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,7 @@ def in_blocks(values: NDArray[np.float64]) -> NDArray[np.float64]:
 # fast.
 
 
-@compiled_only
+@partial(compiled_only, inlined=True)
 def read_block(rows: Any, begin: int, block: Any) -> None:
     """Copy LANES rows of an array to the columns of a block; callable in compiled code only.
 
@@ -49,7 +50,7 @@ def read_block(rows: Any, begin: int, block: Any) -> None:
                 block[k, lane] = rows[min(begin + lane, rows.shape[0] - 1), k]
 
 
-@compiled_only
+@partial(compiled_only, inlined=True)
 def write_block(block: Any, begin: int, count: int, rows: Any) -> None:
     """Copy the first values of a block's machines to the rows of an array; callable in compiled code only.
 

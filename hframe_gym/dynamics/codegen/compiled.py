@@ -17,10 +17,14 @@ _njit: Any = numba.njit
 _PATIENCE_S = 1.0  # of compilation, after which the user is told why nothing happens
 
 
-def compiled_only(function: Function) -> Function:
-    """Compile a function for calls from compiled functions only; it needs no wrapper and compiles faster."""
+def compiled_only(function: Function, *, inlined: bool = False) -> Function:
+    """Compile a function for calls from compiled functions only; it needs no wrapper and compiles faster.
+
+    Args:
+        inlined: Whether callers contain its code: for a short function, whose call takes as long as its work.
+    """
     options = {"nogil": True, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    return cast("Function", _njit(**options)(function))
+    return cast("Function", _njit(**options, forceinline=inlined)(function))
 
 
 def compiled(function: Function) -> Function:

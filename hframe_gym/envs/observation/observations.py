@@ -343,9 +343,11 @@ def _observe(
         call_at(program, state[block], units[block], bounds, values)
         write_block(values, begin, size, out)
         write_block(values, begin, tool.shape[1], tool)
-        for lane in range(LANES):
-            if broken < 0 and values[size, lane] != 0.0:
-                broken = begin + lane
+        bad = 0
+        for lane in range(LANES):  # without an exit at the first one, so that the compiler vectorizes the loop
+            bad += values[size, lane] != 0.0
+        if bad > 0 and broken < 0:
+            broken = begin + np.argmax(values[size] != 0.0)
     return broken
 
 

@@ -21,6 +21,8 @@ MARGIN = 0.05
 # Bound of velocities / no-load speed of the drives; no motion that a drive can cause is so fast.
 SPEED_FACTOR = 3.0
 
+_FLOAT32 = np.dtype(np.float32)  # saves its construction in every step
+
 # m, error at which the entries of `error` change from linear to logarithmic: about the precision that a
 # policy without them reaches.
 ERROR_SCALE = 1e-4
@@ -318,7 +320,7 @@ class ObservationFormat:
 
     def _normalized(self, key: str, values: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return (values - center) / scale of the entries of a key, values (rows, n)."""
-        normalized = np.empty(values.shape, np.float32)
+        normalized = np.empty(values.shape, _FLOAT32)
         _normalize(values, self._center[key], self._scale[key], normalized)
         return normalized
 
@@ -394,8 +396,8 @@ class ObservationFormat:
         )
 
     def goal_as_observed(self, goal: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Convert a `goal`, m, float32, shape (n, axes), to observed goals, which may be normalized."""
-        return self._normalized("desired_goal", goal) if self.normalize else goal
+        """Convert a `goal`, m, float32, shape (n, axes), to observed goals, which may be normalized; a copy."""
+        return self._normalized("desired_goal", goal) if self.normalize else goal.copy()
 
 
 @compiled
