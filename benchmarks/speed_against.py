@@ -105,7 +105,8 @@ def timed(run):
 
 MAKE = {"kernel": kernel, "recording": recording, "vector": vector,
         "rig": lambda: vector(sensors="rig", drives="rig"), "small": lambda: vector(32, 3000),
-        "single": single, "normalized": lambda: single(normalize=True), "track": lambda: single("HFrameTrack-v0")}
+        "single": single, "normalized": lambda: single(normalize=True),
+        "track": lambda: single("HFrameTrack-v0")}
 ready = {}
 answers = sys.stdout
 sys.stdout = sys.stderr

@@ -344,7 +344,7 @@ def _observe(
         write_block(values, begin, size, out)
         write_block(values, begin, tool.shape[1], tool)
         bad = 0
-        for lane in range(LANES):  # without an exit at the first one, so that the compiler vectorizes the loop
+        for lane in range(LANES):  # without an exit at the first one: the compiler vectorizes the loop
             bad += values[size, lane] != 0.0
         if bad > 0 and broken < 0:
             broken = begin + np.argmax(values[size] != 0.0)

@@ -396,7 +396,7 @@ class ObservationFormat:
         )
 
     def goal_as_observed(self, goal: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Convert a `goal`, m, float32, shape (n, axes), to observed goals, which may be normalized; a copy."""
+        """Convert a `goal`, m, float32, shape (n, axes), to observed ones, possibly normalized; a copy."""
         return self._normalized("desired_goal", goal) if self.normalize else goal.copy()
 
 
