@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 
 from .cells import (
@@ -32,6 +33,9 @@ _ARROW = re.compile(r"(?m)^(\d\d:\d\d:\d\d\.\d+) -> ")
 _OPENING = r"(?:^|(?<=\d -> ))[ \t]*(?:[^\W\d]\w{0,40}[ \t]*[:=][ \t]*)?\[(?=[ \t]*[-+.\d])"
 _OPENS = re.compile(_OPENING)
 _BRACKET = re.compile(rf"(?m){_OPENING}|(?<=\d)[ \t]*\](?=[ \t]*[;,]?[ \t]*$)")
+_TAB = "\t"
+# What may be between the cells of a row with different separators: commas before blanks only, then any.
+_GAPS = (re.compile(r" *[;|\t] *|,? +"), re.compile(r" *[;|,\t] *| +"))
 # Row between two equal letters, as SimpleFOC's monitor writes it.
 _ENCLOSED = re.compile(r"(?P<letter>[A-Za-z])[-+.\d][-+.\d\t]*\d(?P=letter)[ \t]*")
 
@@ -52,13 +56,16 @@ def find_edits(lines: Sequence[str]) -> tuple[list[tuple[re.Pattern[str], str]],
     starting = [row for row in rows if _ROW_START.match(row)]
     without_arrow = [_ARROW.sub("", row) for row in rows]
     has_arrow = sum(_ARROW.match(row) is not None for row in starting) > _MOST * len(starting)
+    label, labels = _labels(without_arrow, [line for line in lines if not is_comment(line)])
+    plain = [label.sub("", row) for row in without_arrow] if labels else without_arrow
+    mixed = _mixed_separators([row.rstrip(_ROW_ENDS + " ") for row in plain if _ROW_START.match(row)])
     if has_arrow:
-        edits.append((_ARROW, rf"\1{detect_separator(without_arrow)}"))
+        separator = _TAB if mixed else detect_separator(plain)
+        edits.append((_ARROW, rf"\1{separator}"))
         remarks.append("an arrow follows the time stamps")
     if letter := _enclosing_letter(without_arrow):
         edits.append((re.compile(rf"(?m)(?:^|(?<=\t)){letter}(?=[-+.\d])|(?<=\d){letter}[ \t]*$"), ""))
         remarks.append(f"the letter {letter} encloses each row")
-    label, labels = _labels(without_arrow, [line for line in lines if not is_comment(line)])
     if labels:
         edits.append((label, ""))
         labels = ["", *labels] if has_arrow else labels
@@ -69,7 +76,40 @@ def find_edits(lines: Sequence[str]) -> tuple[list[tuple[re.Pattern[str], str]],
             if detect_separator([pattern.sub("", row) for row in starting]) != row_end:
                 edits.append((pattern, ""))
                 remarks.append(f"rows end with {SEPARATORS[row_end]}")
+    if mixed:
+        edits.append((mixed, _TAB))
+        remarks.append("different separators are between the cells")
     return edits, labels, remarks
+
+
+def _mixed_separators(rows: Sequence[str]) -> re.Pattern[str] | None:
+    """Return the pattern of several separators in each row, such as commas and tabs; None for one."""
+    separator = detect_separator(rows)
+    if sum(all(map(_is_value, split_row(row, separator))) for row in rows) > (1.0 - _MOST) * len(rows):
+        return None
+    for gap in _GAPS:
+        kinds = Counter(
+            tuple(_separator_in(between) for between in gap.findall(row))
+            for row in rows
+            if all(map(_is_value, gap.split(row)))
+        )
+        usual, count = kinds.most_common(1)[0] if kinds else ((), 0)
+        if count >= CONSECUTIVE and count > _MOST * len(rows) and len(set(usual)) > 1:
+            between = [mark for mark in SEPARATORS if mark in usual]
+            marks = "".join(re.escape(mark) for mark in between if mark != WHITESPACE)
+            blanks = "| +" if WHITESPACE in between else ""
+            return re.compile(rf" *(?:[{marks}] *)+{blanks}")
+    return None
+
+
+def _separator_in(between: str) -> str:
+    """Return the separator among the blanks between two cells."""
+    return next((mark for mark in SEPARATORS if mark != WHITESPACE and mark in between), WHITESPACE)
+
+
+def _is_value(cell: str) -> bool:
+    """Return whether a cell is a number, a time stamp or a missing value."""
+    return is_number_or_stamp(cell) or is_missing(cell)
 
 
 def _enclosing_letter(rows: Sequence[str]) -> str:

@@ -112,6 +112,19 @@ DIALECTS = {
     "names with blanks around equals signs": Dialect(
         plotted(", ", " = "), ("t", "u", "x"), ("", "", ""), "name of its column"
     ),
+    "commas and tabs": Dialect(
+        "Zeit in s, U in V\tx in mm\n"
+        + "".join("{}, {} \t{}\n".format(*row.split(",")) for row in rows(",").splitlines()),
+        ("Zeit", "U", "x"),
+        ("s", "V", "mm"),
+        "different separators",
+    ),
+    "semicolons and blanks": Dialect(
+        "".join("{}; {} {}\n".format(*row.split(",")) for row in rows(",").splitlines()),
+        ("#1", "#2", "#3"),
+        ("", "", ""),
+        "different separators",
+    ),
     "lists": Dialect(
         "".join(f"[{row}]\n" for row in rows(" ").splitlines()),
         ("#1", "#2", "#3"),
@@ -379,6 +392,20 @@ def test_the_serial_monitor_puts_an_arrow_after_its_time_stamps(tmp_path: Path) 
     )
     log = opened(tmp_path, text)
     assert [column.kind for column in log.columns] == ["stamp", "number", "number"]
+    stamps, voltage, position = log.read(log.columns)[0]
+    np.testing.assert_allclose((stamps - stamps[0]) / np.timedelta64(1, "s"), TIME)
+    np.testing.assert_array_equal(voltage, VOLTAGE)
+    np.testing.assert_allclose(position, POSITION)
+
+
+@pytest.mark.parametrize("between", [" ", ",", "; "])
+def test_names_before_the_numbers_may_follow_an_arrow(between: str, tmp_path: Path) -> None:
+    text = "12:00:00.000 -> Ready\n" + "".join(
+        f"12:00:{t:06.3f} -> u={u:.2f}{between}x={x:.7f}\n"
+        for t, u, x in zip(TIME, VOLTAGE, POSITION, strict=True)
+    )
+    log = opened(tmp_path, text)
+    assert [column.name for column in log.columns] == ["#1", "u", "x"]
     stamps, voltage, position = log.read(log.columns)[0]
     np.testing.assert_allclose((stamps - stamps[0]) / np.timedelta64(1, "s"), TIME)
     np.testing.assert_array_equal(voltage, VOLTAGE)
