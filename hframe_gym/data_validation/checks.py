@@ -216,7 +216,11 @@ def _position_checks(recordings: Sequence[Recording], data: Dataset, machine: Ma
     positions = _without_stuck_outputs(positions, stuck, machine)
     apart = check_travel_of_runs(positions, machine)
     if apart:
-        return stuck + apart  # all runs together would have the scale of none
+        # Swapped sensors move by other ratios in each run as well. Otherwise a run has another unit, and all
+        # runs together would have the scale of none.
+        wiring = check_wiring(positions, machine)
+        swapped = [finding for finding in wiring if finding.severity == "fault" and not finding.run]
+        return stuck + (swapped or apart)
     return stuck + check_wiring(positions, machine) + check_scales(positions, machine)
 
 

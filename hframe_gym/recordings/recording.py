@@ -65,6 +65,11 @@ class Recording:
     inputs: Array
     outputs: Array
 
+    def __post_init__(self) -> None:
+        """Store rows one after the other, as the compiled code reads them; a transposed table is copied."""
+        for name in ("time_s", "inputs", "outputs"):
+            object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name)))
+
 
 def load_recordings(
     folder: str | Path,

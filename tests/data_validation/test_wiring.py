@@ -48,6 +48,26 @@ def test_swapped_outputs_are_named(
     )
 
 
+def test_swapped_outputs_of_runs_in_different_directions_are_no_run_in_another_unit(hframe: Machine) -> None:
+    """The ratio of the swapped sensors differs between a run along x and one along y."""
+    time_s = 0.002 * np.arange(1000)
+    wave = np.where(time_s > 0.1, 3.0 * np.sin(9.0 * (time_s - 0.1)), 0.0)
+    other = np.where(time_s > 0.1, 3.0 * np.sin(13.0 * (time_s - 0.1)), 0.0)
+    runs = []
+    for k, (along_x, along_y) in enumerate([(1.0, 0.2), (0.9, 0.25), (0.2, 1.0), (0.25, 0.9)]):
+        volts = np.column_stack([along_x * wave + along_y * other, along_x * wave - along_y * other])
+        outputs = measure(hframe, hframe.simulate(time_s, volts).outputs, seed=k)
+        runs.append(Recording(f"run_{k}", time_s, volts, outputs))
+    assert faults(check_recordings(runs, hframe)) == []
+    swapped = with_change(runs, lambda u, y: (u, y[:, [PHI2, PHI1, X, Y]]))
+    assert faults(check_recordings(swapped, hframe)) == [
+        f"fault: phi1_rad and phi2_rad are swapped: {REMEDY}"
+    ]
+    alone = [*runs[:3], *with_column(runs[3:], X, lambda x: 1e-3 * x)]
+    (fault,) = faults(check_recordings(alone, hframe))
+    assert "run_3, x_m: moves" in fault
+
+
 def test_a_motor_with_the_wrong_sign_and_swapped_motors_are_named(
     runs: list[Recording], hframe: Machine
 ) -> None:
