@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar
 from typing import NamedTuple
 
@@ -261,6 +261,21 @@ class Budget:
             self._tests_part = math.inf
             _ACTIVE.reset(token)
 
+    @contextmanager
+    def during_tests(self) -> Iterator[None]:
+        """Let tests of the present stage, in a `with` block, use the time that is kept for them.
+
+        Tests that the stage has begun and does not end would begin again after it, and rarely end in the time
+        that is left.
+        """
+        part, expected = self._part, self._tests
+        if math.isfinite(self._tests_part):
+            self._part, self._tests = self._tests_part, 0.0
+        try:
+            yield
+        finally:
+            self._part, self._tests = part, expected
+
 
 _ACTIVE: ContextVar[Budget | None] = ContextVar("budget", default=None)
 
@@ -290,6 +305,12 @@ def goes_on() -> bool:
     """
     budget = _ACTIVE.get()
     return True if budget is None else budget.goes_on()
+
+
+def during_tests() -> AbstractContextManager[None]:
+    """Return the context of `Budget.during_tests` of the active budget; without one, it does nothing."""
+    budget = _ACTIVE.get()
+    return nullcontext() if budget is None else budget.during_tests()
 
 
 def note_error(chi2: float) -> None:

@@ -19,6 +19,7 @@ from hframe_gym.identification.budget import (
     PLAIN_FIT_PART,
     Budget,
     BudgetEndedError,
+    during_tests,
     expect_tests,
     goes_on,
     spend,
@@ -173,6 +174,24 @@ def test_a_search_ends_early_enough_for_the_tests_of_what_it_found(seconds: floa
             spend()
     with budget.limiting(0.9):
         spend()
+
+
+@pytest.mark.parametrize(("tests", "end"), [(0.9, 0.9), (math.inf, 0.75)], ids=["kept", "none kept"])
+def test_tests_that_have_begun_use_the_time_that_is_kept_for_them(tests: float, end: float) -> None:
+    """After them, the search has ended."""
+    spent = [0.0]
+    budget = Budget(10.0, clock=lambda: spent[0])
+    with budget.limiting(0.75, tests=tests):
+        expect_tests(2.5)
+        with during_tests():
+            spent[0] = 10.0 * end - 0.01
+            spend()
+            spent[0] = 10.0 * end + 0.01
+            with pytest.raises(BudgetEndedError):
+                spend()
+        spent[0] = 7.6
+        with pytest.raises(BudgetEndedError):
+            spend()
 
 
 def test_without_time_to_search_the_machine_has_no_effects() -> None:

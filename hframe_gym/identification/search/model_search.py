@@ -11,7 +11,7 @@ from ...effects.smooth_table import TABLE_FAMILY
 from ...line_log import LineLog
 from ...machine import HOOKS, Effect, Machine, argument_names
 from ...preparation.dataset import Dataset
-from ..budget import Budget, BudgetEndedError, spend, stage_ends
+from ..budget import Budget, BudgetEndedError, during_tests, spend, stage_ends
 from ..evidence.effect_parameters import parameter_values
 from ..evidence.effect_variables import curves_of_one_variable
 from ..evidence.tried_effects import ConsideredEffect, SelectedEffect, Selection
@@ -433,8 +433,18 @@ class ModelSearch:
         return self._tested(search, current, effects)
 
     def _tested(self, search: EffectSearch, current: Fit, effects: tuple[SelectedEffect, ...]) -> Found:
-        """Return those effects of a search that pass the tests beside each other, also in simulation."""
+        """Return those effects of a search that pass the tests beside each other, also in simulation.
+
+        The search may end meanwhile; the tests go on in the time that is kept for them.
+        """
         spend("testing each effect beside the others")
+        with during_tests():
+            return self._passing_together(search, current, effects)
+
+    def _passing_together(
+        self, search: EffectSearch, current: Fit, effects: tuple[SelectedEffect, ...]
+    ) -> Found:
+        """Return those effects that pass the tests of `_tested`."""
         current, effects = search.prune(search.polished(current), effects)
         simulated = self._refined(current)
         # Without the error that an observer causes, unless the simulation leaves more than the observer

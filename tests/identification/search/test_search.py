@@ -12,7 +12,7 @@ import pytest
 from hframe_gym.effects import EFFECTS
 from hframe_gym.effects.smooth_table import KNOTS, definition
 from hframe_gym.identification import Fit, SelectedEffect, SelectionCriteria
-from hframe_gym.identification.budget import BudgetEndedError
+from hframe_gym.identification.budget import Budget, BudgetEndedError, spend, stage_ends
 from hframe_gym.identification.search import model_search
 from hframe_gym.identification.search import search_effects as search
 from hframe_gym.identification.search.outcome import SearchOutcome
@@ -49,6 +49,8 @@ class ScriptedSearch:
         self.simulated: float | None = None
         self.moved: tuple[AppliedEffect, ...] = ()  # effects of that fit, if their values differ
         self.ends_in = ""  # stage in which the budget ends
+        self.budget = Budget()
+        self.while_testing: Callable[[], None] = lambda: None
         self.compared: list[tuple[str, ...]] = []  # labels of the effects whose rivals were looked for
         script = self
 
@@ -76,6 +78,7 @@ class ScriptedSearch:
                 return current
 
             def prune(self, current: Fit, chosen: tuple[SelectedEffect, ...]) -> Any:
+                script.while_testing()
                 return current, chosen if script.pruned is None or current.bandwidth else script.pruned
 
         replaced: Mapping[str, Callable[..., Any]] = {
@@ -133,7 +136,9 @@ class ScriptedSearch:
 
     def run(self, known: tuple[SelectedEffect, ...] = ()) -> SearchOutcome:
         """Search in four runs."""
-        return search.search_effects(AXIS, runs("abcd"), CRITERIA, lambda line: None, known=known)
+        return search.search_effects(
+            AXIS, runs("abcd"), CRITERIA, lambda line: None, known=known, budget=self.budget
+        )
 
 
 @pytest.fixture
@@ -209,6 +214,24 @@ def test_a_search_that_ends_before_it_begins_tests_the_effects_of_the_one_before
     outcome = scripted_search.run(known=(selected(PUSH), selected(SPRING)))
     assert outcome.unfinished
     assert [s.effect for s in outcome.selected] == [PUSH, SPRING]
+
+
+def test_tests_go_on_where_the_time_for_the_search_ends_meanwhile(scripted_search: ScriptedSearch) -> None:
+    """They began again, did not end in the time that was left, and three right effects were lost."""
+    ends, spent, begun = stage_ends(AXIS), [0.0], list[float]()
+
+    def while_testing() -> None:
+        spent[0] = 0.5 * (ends.search + ends.tests)
+        begun.append(spent[0])
+        spend()
+
+    scripted_search.budget = Budget(1.0, clock=lambda: spent[0])
+    scripted_search.while_testing = while_testing
+    scripted_search.effects = (selected(PUSH), selected(SPRING))
+    scripted_search.after = scripted_search.with_effects = scripted_search.wide = 1.0
+    outcome = scripted_search.run()
+    assert [s.effect for s in outcome.selected] == [PUSH, SPRING]
+    assert len(begun) == 1
 
 
 @pytest.mark.parametrize(("chi2", "expected"), [(1.4, {"a": (3.0, 1.0)}), (1.6, {})])
