@@ -65,7 +65,9 @@ def check_travel_of_runs(data: Dataset, machine: Machine) -> list[Finding]:
         usual = np.array([_of_others(ratios[:, j], i) for j in sensors])
         apart = [j for j in sensors if abs(math.log(ratios[i, j] / usual[j])) > math.log(_TRAVEL)]
         if apart:
-            change = {j: abs(math.log(_of_others(travel[:, j], i) / travel[i, j])) for j in apart}
+            # A sensor may rest in this run or in most of the others.
+            logarithms = np.log(np.maximum(travel, np.finfo(float).tiny))
+            change = {j: abs(_of_others(logarithms[:, j], i) - logarithms[i, j]) for j in apart}
             j = max(apart, key=change.__getitem__)
             message = (
                 f"moves {ratios[i, j]:.3g} times as far as other sensors measure, and {usual[j]:.3g} times "

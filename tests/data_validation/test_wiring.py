@@ -49,13 +49,12 @@ def test_swapped_outputs_are_named(
 
 
 def test_swapped_outputs_of_runs_in_different_directions_are_no_run_in_another_unit(hframe: Machine) -> None:
-    """The ratio of the swapped sensors differs between a run along x and one along y."""
+    """The ratio of the swapped sensors differs between runs in which one or the other motor pulls more."""
     time_s = 0.002 * np.arange(1000)
-    wave = np.where(time_s > 0.1, 3.0 * np.sin(9.0 * (time_s - 0.1)), 0.0)
-    other = np.where(time_s > 0.1, 3.0 * np.sin(13.0 * (time_s - 0.1)), 0.0)
+    ramp = np.where(time_s > 0.1, 2.1 * (time_s - 0.1), 0.0)
     runs = []
-    for k, (along_x, along_y) in enumerate([(1.0, 0.2), (0.9, 0.25), (0.2, 1.0), (0.25, 0.9)]):
-        volts = np.column_stack([along_x * wave + along_y * other, along_x * wave - along_y * other])
+    for k, pulls in enumerate([(1.0, 0.0), (0.9, 0.0), (0.8, 0.1), (0.1, 1.0)]):
+        volts = np.outer(ramp, pulls)
         outputs = measure(hframe, hframe.simulate(time_s, volts).outputs, seed=k)
         runs.append(Recording(f"run_{k}", time_s, volts, outputs))
     assert faults(check_recordings(runs, hframe)) == []
@@ -63,9 +62,6 @@ def test_swapped_outputs_of_runs_in_different_directions_are_no_run_in_another_u
     assert faults(check_recordings(swapped, hframe)) == [
         f"fault: phi1_rad and phi2_rad are swapped: {REMEDY}"
     ]
-    alone = [*runs[:3], *with_column(runs[3:], X, lambda x: 1e-3 * x)]
-    (fault,) = faults(check_recordings(alone, hframe))
-    assert "run_3, x_m: moves" in fault
 
 
 def test_a_motor_with_the_wrong_sign_and_swapped_motors_are_named(
