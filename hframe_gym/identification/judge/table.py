@@ -91,6 +91,10 @@ def is_one_curve(table: float, effects: float) -> bool:
     explain the data, but the error of their forms adds up in a simulation. A table can hardly be better than
     the right effects.
 
+    Without this rule, a spring and an unbalance are named falsely on a simulated servo whose cable pulls with
+    the square of the angle. They predict its held-out runs better than the table does, though: the error is
+    1.5 instead of 3.8 times the noise.
+
     Args:
         table: Cost of the simulation with the table in place of the effects, dimensionless.
         effects: Cost of the simulation with the effects, dimensionless.
