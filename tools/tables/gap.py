@@ -8,7 +8,6 @@ from typing import Any
 
 from tools.tables.result_tables import markdown, table, with_interval
 
-
 HELD = "gap_71000"  # summary of the held set: seed 71000
 
 
