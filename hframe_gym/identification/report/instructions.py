@@ -17,6 +17,7 @@ from .document import Report
 from .inseparable_parameters import sum_text
 from .rows import EffectRow
 from .saved_result import SavedResult
+from .verdict_words import complete_log, hidden_effects
 
 _NO_DIRECTION = (
     "Add a sensor that shows the direction of the motion, such as an encoder with two channels: without one, "
@@ -72,7 +73,7 @@ def next_steps(
     if report.warnings:
         text = f"Read the findings about the recordings ({len(report.warnings)}) in the section Recordings."
         findings = [NextStep(text)]
-    steps = _recordings(saved, folder, effects)
+    steps = [*_complete_log(saved, folder), *_recordings(saved, folder, effects)]
     if (
         report.left or 0.0
     ) > SelectionCriteria().max_noise_ratio_explained and report.verdict != "unexplained":
@@ -90,6 +91,19 @@ def next_steps(
         return [*_continued(saved, folder), *steps, *measurements, *findings]
     control = _control(report.verdict, machine, folder, bool(effects))
     return [*steps, control, *_continued(saved, folder), *measurements, *findings]
+
+
+def _complete_log(saved: SavedResult, folder: Path) -> list[NextStep]:
+    """Return the step that records what a log slower than its controller lacks, if it may hide effects."""
+    report = saved.report
+    if report.unknown_voltages is None or not hidden_effects(report):
+        return []
+    advice = complete_log(report.unknown_voltages)
+    text = (
+        f"{advice[:1].upper()}{advice[1:]}, and identify again: "
+        "this log may hide effects that change the motion by as much as is left."
+    )
+    return [NextStep(text, _again(saved, folder))]
 
 
 def _recordings(saved: SavedResult, folder: Path, effects: Sequence[EffectRow]) -> list[NextStep]:

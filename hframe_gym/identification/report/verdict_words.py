@@ -74,17 +74,22 @@ def unknown_voltages(report: Report) -> list[str]:
     period = f"{1e3 * unknown.period_s:.3g} ms"
     by_instruments = unknown.fitted_by == "instruments"
     commands = unknown.commands
-    advice = f"log every row of the controller (every {period})"
-    if commands != "set points":
-        advice += ", or describe the drives by their set point and log that"
     return [
         f"The controller changes the {commands} about {unknown.changes_per_row} times "
         f"between two rows of this log (every {period}), and the log does not contain these {commands}.",
         *_unknown_error(sizes, refuted),
         *_hidden_delay(report, unknown),
         *([_BY_INSTRUMENTS.format(commands)] if by_instruments else []),
-        f"To find more, {advice}.",
+        f"To find more, {complete_log(unknown)}.",
     ]
+
+
+def complete_log(unknown: UnknownVoltages) -> str:
+    """Return a clause, an imperative, that says how to record what a log slower than its controller lacks."""
+    advice = f"log every row of the controller (every {1e3 * unknown.period_s:.3g} ms)"
+    if unknown.commands != "set points":
+        advice += ", or describe the drives by their set point and log that"
+    return advice
 
 
 def _unknown_error(sizes: Sequence[str], refuted: Sequence[str]) -> list[str]:
@@ -191,15 +196,19 @@ def nearest_effects(report: Report) -> list[str]:
 def hidden_effects(report: Report) -> list[str]:
     """Return sentences about effects that a log slower than its controller may hide, with their sizes.
 
-    These effects reduced the error of both the fitted and the held-out runs, but failed a test. The result is
-    empty if only noise is left, or if the log contains all voltages.
+    The first one states how much such an effect may change the motion: by the error that is left. The
+    effects that are listed reduced the error of both the fitted and the held-out runs, but failed a test. The
+    result is empty if only noise is left, or if the log contains all voltages.
     """
     if report.unknown_voltages is None or not cause_of_remainder(report):
         return []
     helpful = [c for c in report.considered if c.held_out_gain is not None and c.held_out_gain > 0.0]
     largest = sorted(helpful, key=lambda c: -(c.held_out_gain or 0.0))[:_HIDDEN_EFFECTS]
     texts = [_with_size(entry) for entry in largest]
-    hides = f"The log may hide {'further ' if report.effects else ''}effects in this error."
+    hides = (
+        f"The log may hide {'further ' if report.effects else ''}effects in this error, "
+        f"also one that changes the motion by as much as is left: {in_user_units(report.after)}."
+    )
     if not texts:
         return [hides]
     return [

@@ -375,10 +375,11 @@ def test_a_slow_log_tells_which_effects_it_may_hide() -> None:
     assert "are there: belt damping at belts (c = 0.00089, 0.52 % of the drives' force); " in sentence
     assert sentence.endswith("bridge yaw at machine (J = 0.096, w = 0.28).")
     assert sentence_about(left=27.0, **(slow | {"considered": [useless]})).endswith(
-        "The log may hide effects in this error."
+        "The log may hide effects in this error, also one that changes the motion by as much as is left: "
+        "1 mm rms at x_m."
     )
     found = report_with({}, verdict="effect_found", left=27.0, effects=[effect_entry("cogging", "x")], **slow)
-    assert "The log may hide further effects in this error." in verdict_sentence(found)
+    assert "The log may hide further effects in this error, also one" in verdict_sentence(found)
     assert "hide" not in sentence_about(left=1.0, **slow)
     assert "hide" not in sentence_about(left=27.0, considered=considered)
 

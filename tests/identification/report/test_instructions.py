@@ -11,7 +11,12 @@ import pytest
 
 from hframe_gym.controllers import TextbookPID
 from hframe_gym.identification import Dataset, write_result
-from hframe_gym.identification.report.document import DeterminedSum, NotSeparable, UndeclaredFriction
+from hframe_gym.identification.report.document import (
+    DeterminedSum,
+    NotSeparable,
+    UndeclaredFriction,
+    UnknownVoltages,
+)
 from hframe_gym.identification.report.instructions import next_command, next_steps
 from hframe_gym.identification.report.saved_result import load_result
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
@@ -96,6 +101,31 @@ def test_the_steps_name_what_to_measure_and_a_controller_with_its_period(
         "Look at run_2, the run with the largest error" in s.text
         for s in next_steps(saved, tmp_path, (), ["run_2"])
     )
+
+
+def test_a_slow_log_that_may_hide_effects_is_recorded_again_before_anything_else(
+    data: Dataset, tmp_path: Path
+) -> None:
+    """A controller that is designed for the wrong machine is not the next step."""
+    write_result(result_of(data, "no_effect", AXIS), tmp_path)
+    saved = load_result(tmp_path)
+    saved.report.left = 27.0
+    saved.report.unknown_voltages = UnknownVoltages(
+        changes_per_row=10, period_s=1e-3, errors={"x_m": 3e-5}, fitted_by="instruments"
+    )
+    first = next_steps(saved, tmp_path, (), ["run_2"])[0]
+    assert first.text.startswith("Log every row of the controller (every 1 ms), or describe the drives by")
+    assert "this log may hide effects" in first.text
+    assert first.command.startswith("hframe identify RUNS --machine")
+
+    def advised() -> bool:
+        return any("Log every row" in step.text for step in next_steps(saved, tmp_path, (), ["run_2"]))
+
+    assert advised()
+    saved.report.left = 1.0  # only noise is left
+    assert not advised()
+    saved.report.left, saved.report.unknown_voltages = 27.0, None  # the log has all voltages
+    assert not advised()
 
 
 def test_the_period_of_a_textbook_controller_is_the_longest_one_that_is_stable(
