@@ -62,7 +62,7 @@ ParameterRows: TypeAlias = NDArray[np.float64]
 """Parameters of each machine in the order of `Machine.parameters`, SI, shape (B, P)."""
 
 Workspace: TypeAlias = NDArray[np.float64]
-"""Workspace of the tool: one row per axis, columns low and high, m, shape (axes, 2)."""
+"""Workspace of the tool: one row per axis, columns low and high, m or rad, shape (axes, 2)."""
 
 EnvironmentParameters: TypeAlias = NDArray[np.float64]
 """Parameters of k environments, ordered as `ParameterSpace.names` of `hframe_gym.envs`, SI, shape (k, N)."""

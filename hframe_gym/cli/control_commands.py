@@ -378,7 +378,10 @@ def task_with_path(name: str, path: str | None, unit: AxisUnit) -> Any:
 
 
 def option_words(**values: str | None) -> str:
-    """Format options for a command that a message proposes: " --machine axis --task reach", quoted."""
+    """Format options for a command that a message proposes: " --machine axis --task reach".
+
+    Values are quoted for the shell where they need it; options with the value None are left out.
+    """
     return "".join(f" --{name} {quoted(value)}" for name, value in values.items() if value is not None)
 
 

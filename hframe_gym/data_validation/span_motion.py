@@ -120,6 +120,6 @@ def correlation(a: Array, b: Array) -> float:
         b: Motion at the same times, in any unit, shape (n,).
 
     Returns:
-        Correlation, dimensionless, -1 to 1.
+        Correlation, dimensionless, -1 to 1; NaN if a motion is zero throughout.
     """
     return float(a @ b / np.sqrt((a @ a) * (b @ b)))

@@ -11,9 +11,11 @@ PATH_ERRORS = ("contour", "tracking")  # of motion along a path, in scores with 
 
 
 def task_name(scores: Mapping[str, Any]) -> str:
-    """Return the name of the task.
+    """Return the name of the task in lower case, such as "track".
 
-    Scores.json may contain the text of a task object, such as "Track(...)".
+    Args:
+        scores: Content of scores.json. Its entry "task" may be the text of a task object, such as
+            "Track(speed=0.1)", of which this is the name without the arguments.
     """
     return str(scores["task"]).partition("(")[0].lower()
 

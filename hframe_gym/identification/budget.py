@@ -75,6 +75,9 @@ def stage_ends(machine: Machine, *, in_part: bool = False) -> StageEnds:
         machine: Machine to identify. Without belts, time is kept for a description by tables, because a
             search that ends early rarely names the cause there.
         in_part: Whether the search uses only some of the rows, so that a fit to all rows follows.
+
+    Returns:
+        Ends as fractions of the budget, dimensionless, counted from the start of the identification.
     """
     all_rows = LAST_STAGE_END - (0.0 if machine.belts else _STAGE_PART)
     tests = all_rows - (_STAGE_PART if in_part else 0.0)

@@ -370,7 +370,8 @@ class Effect:
         Args:
             machine: Machine with the effect.
             site: Component on which the effect acts.
-            cause: Label (name@site) of another effect, or words such as those of `equivalent`.
+            cause: Label (name@site) of the same effect at another site, which `equivalent_site` judges, or
+                one of the causes in words that `equivalent` lists. Anything else gives False.
         """
         name, _, other = cause.partition("@")
         if self.equivalent_site is None or name != self.name:

@@ -68,7 +68,16 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def local_processes(count: int) -> Iterator[Callable[..., Any]]:
-    """Start `count` worker processes; yield a function that submits a task to them, as `Executor.submit`."""
+    """Provide `count` worker processes of this machine in the `with` block.
+
+    A process starts with its first task. A task whose process dies is repeated by a new one, up to
+    `ATTEMPTS` times in all. At the end of the block all processes are killed, also during a task, and tasks
+    that have not begun are canceled.
+
+    Yields:
+        Function (function, item) that submits the call function(item), both picklable, and returns its
+        `concurrent.futures.Future` at once.
+    """
     workers = [_LocalWorker() for _ in range(count)]
     idle: SimpleQueue[_LocalWorker] = SimpleQueue()
     for worker in workers:

@@ -23,7 +23,24 @@ _HEALTH_TIMEOUT_S = 20.0  # the check itself starts a Python process, which take
 
 @contextmanager
 def ray_workers(address: str, cores: int) -> Iterator[Callable[..., Any]]:
-    """Connect to Ray; yield a function that submits a task to its workers, as `Executor.submit`."""
+    """Connect to Ray in the `with` block, or use the connection of this process if it has one.
+
+    A connection that this block makes is closed at its end. Ray repeats a task whose worker dies, up to
+    `ATTEMPTS` times in all.
+
+    Args:
+        address: "local" to start Ray on this machine, "auto" for the cluster of this machine or of the
+            environment variable RAY_ADDRESS, or "HOST:PORT" of a cluster's head node.
+        cores: Cores that a local Ray uses; 1 means all. Ignored for a cluster.
+
+    Yields:
+        Function (function, item) that submits the call function(item), both picklable, and returns its
+        `concurrent.futures.Future` at once.
+
+    Raises:
+        ImportError: If Ray is not installed.
+        InputError: If the cluster cannot be reached.
+    """
     # Ray then sends no usage statistics, and prints the workers' lines as they are.
     for variable in ("RAY_USAGE_STATS_ENABLED", "RAY_DEDUP_LOGS", "RAY_COLOR_PREFIX"):
         os.environ.setdefault(variable, "0")

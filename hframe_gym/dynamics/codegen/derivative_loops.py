@@ -231,16 +231,20 @@ def periods_back(
 def readings_back(
     read_sensors_back: int, states, parameters, adjoint, first: int, last: int, states_out, parameters_out
 ) -> None:
-    """Compute derivatives with respect to states and parameters from those with respect to sensor readings.
+    """Compute derivatives of a scalar by states and parameters from those by the sensor readings.
 
-    The sensors' delays are ignored.
+    It is the reverse mode of `readings_forward`, for blocks first..last-1: each derivative by a state or
+    parameter is the sum over all readings of the given derivative times that of the reading. The sensors'
+    delays are ignored.
 
     Args:
+        read_sensors_back: Address of the kernel's compiled function that does this for one block and time.
         states: Belt travel, m, and further rows, shape (B, N, rows).
         parameters: Machine parameters, SI, shape (B, parameters).
-        adjoint: Derivatives with respect to the readings, 1/m or 1/rad, shape (B, N, sensors).
-        states_out: Output, derivatives with respect to the states, shape (B, N, rows).
-        parameters_out: Output, derivatives with respect to the parameters, shape (B, parameters).
+        adjoint: Derivatives with respect to the readings, 1 / unit of the sensor, shape (B, N, sensors).
+        states_out: Output, overwritten, derivatives with respect to the states, shape (B, N, rows).
+        parameters_out: Output, overwritten, derivatives with respect to the parameters, summed over the N
+            times, shape (B, parameters).
     """
     block_parameters = np.zeros((parameters.shape[1], LANES))
     adjoint_parameters = np.zeros((parameters.shape[1], LANES))
@@ -266,6 +270,7 @@ def readings_forward(read_sensors: int, states, parameters, first: int, last: in
     """Compute the sensor readings of blocks first..last-1, without delay.
 
     Args:
+        read_sensors: Address of the kernel's compiled function that does this for one block and time.
         states: Belt travel, m, and further rows, shape (B, N, rows).
         parameters: Machine parameters, SI, shape (B, parameters).
         readings: Output, in the sensors' units, shape (B, N, sensors).

@@ -312,7 +312,11 @@ class FormulaEffect:
 
 
 def write_effect_file(effect: FormulaEffect, path: Path) -> None:
-    """Write the Python file that defines and registers an effect; InputError if it cannot be written."""
+    """Write a new Python file that defines and registers an effect.
+
+    Raises:
+        InputError: If the file exists already, which is not replaced, or cannot be written.
+    """
     if path.exists():
         raise InputError(f"{path}: the file exists; remove it or choose another name with --out")
     try:

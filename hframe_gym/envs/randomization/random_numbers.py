@@ -88,10 +88,15 @@ def _log(x: float) -> float:
 
 @compiled
 def cos_sin_of_turns(u: Any) -> Any:
-    """Compute cosine and sine of an angle in turns (1 turn is 2 pi rad), each with an error below 1e-15.
+    """Compute cosine and sine of one angle in turns (1 turn is 2 pi rad), each with an error below 1e-15.
 
-    Unlike results of the C library, they have the same bits on every system. In compiled code the angle may
-    be a SIMD register.
+    Unlike results of the C library, they have the same bits on every system.
+
+    Args:
+        u: The angle, turns: a float, not an array; in compiled code also a SIMD register.
+
+    Returns:
+        Cosine and sine, dimensionless, of the type of `u`.
     """
     quarter = np.floor(4.0 * u + 0.5)  # nearest multiple of a quarter turn
     r = (4.0 * u - quarter) * 1.5707963267948966  # rest of the angle, rad, -pi/4 to pi/4

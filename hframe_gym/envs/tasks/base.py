@@ -80,20 +80,23 @@ class Task(ABC):
 
         Args:
             uniforms: Uniform random numbers in (0, 1), shape (k, draws).
-            parameters: Values in the k episodes of all parameters that the attribute `parameters` declares,
-                SI, by name, shape (k,) each. Default: nominal values.
+            parameters: Values in the k episodes of all parameters that the property `parameters` of the task
+                declares, SI, by name, shape (k,) each. Default: the nominal values, which it returns.
 
         Returns:
-            start: Start positions of the tool, m, shape (k, axes).
+            start: Start positions of the tool, m or rad, shape (k, axes).
             plan: Plans (`GoalPlans`), shape (k, plan_size).
         """
 
     @abstractmethod
     def goal(self, plan: GoalPlans, elapsed_s: Array) -> Array:
-        """Compute k episodes' goals, m, at one time, shape (k, axes), or at m times each, shape (k, m, axes).
+        """Compute the goals of k episodes, m or rad, at one time or at m times each.
 
         Args:
             elapsed_s: Times since the reset, s, not negative, shape (k,) or (k, m).
+
+        Returns:
+            Goals of the tool, shape (k, axes) or (k, m, axes).
         """
 
     def write_goals(
@@ -111,24 +114,28 @@ class Task(ABC):
         Args:
             ahead_s: Times from the present to the m future goals in the observation, s, shape (m,), as the
                 property `ahead_s` of the task.
-            goals: Output, present goals, m, shape (k, axes).
-            previews: Output, future goals, m, shape (k, m, axes).
+            goals: Output, present goals, m or rad, shape (k, axes).
+            previews: Output, future goals, m or rad, shape (k, m, axes).
         """
         goals[:] = self.goal(plan, elapsed_s)
         if len(ahead_s):
             previews[:] = self.goal(plan, elapsed_s[:, None] + ahead_s)
 
     def aim(self, target: Array) -> GoalPlans:
-        """Make plans for given `target` positions, m, shape (k, axes); an InputError if the task has none."""
+        """Make plans for given `target` positions, m or rad, shape (k, axes).
+
+        Raises:
+            InputError: If the task has no target.
+        """
         raise InputError(f"task {self.name} has no target; reset takes only the option 'start'")
 
     def contour(self, plan: GoalPlans, points: Array, elapsed_s: ElapsedTimes) -> Array | None:
-        """Compute the contour error: the distance from the tool to the goal's path, m, shape (k,).
+        """Compute the contour error: the distance from the tool to the goal's path, m or rad, shape (k,).
 
         None for a task without a path, which is the default.
 
         Args:
-            points: One tool position per episode, m, shape (k, axes).
+            points: One tool position per episode, m or rad, shape (k, axes).
             elapsed_s: Times since the reset. The nearest point is searched around the goals of these times,
                 because a path may cross itself.
         """

@@ -48,9 +48,12 @@ class MotionFormulas:
     """Formulas of a machine.
 
     Attributes:
+        dynamics: Inverse dynamics that the formulas evaluate.
         formulas: Traced formulas in the order in which they are written.
         amplifiers: Traced characteristics of amplifiers by index of the drive.
         parameters: Parameters that the formulas may contain.
+        pid: Controller of the formula `pid`; None if the machine has none.
+        without_pid: Why there is no PID, in words; "" if there is one.
     """
 
     dynamics: InverseDynamics
@@ -130,13 +133,18 @@ class MotionFormulas:
 
 
 def motion_formulas(machine: Machine, period: float) -> MotionFormulas:
-    """Trace the formulas of a machine with one drive per axis of its tool, with the PID of a control period.
+    """Trace the formulas of a machine: the feedforward, what belongs to it, and if possible a PID.
 
     Args:
+        machine: Machine with one drive per axis of its tool, linear axes and no drive with a law. Effects
+            that the formulas cannot contain are left out (`InverseDynamics.left_out`).
         period: Control period of the PID, s.
 
+    Returns:
+        The formulas. If the machine has no textbook PID, they lack it, and `without_pid` states the reason.
+
     Raises:
-        InputError: If the machine has no inverse dynamics, or the period is invalid.
+        InputError: If the machine has no inverse dynamics (`InverseDynamics`), or the period is invalid.
     """
     dynamics = InverseDynamics(machine)
     parameters = parameters_of(dynamics.machine)

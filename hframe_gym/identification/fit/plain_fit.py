@@ -388,16 +388,18 @@ def refined_equally(fitted: Fit, data: Dataset) -> Fit:
 
 
 def wide_parameters(machine: Machine) -> tuple[FreeParameter, ...]:
-    """Return the free parameters with priors so wide that data alone determine them.
+    """Return the parameters of `default_free_parameters` with priors so wide that data alone determine them.
 
-    Phases of declared effects are included even if they are zero: a phase is an angle like any other, for
-    example that at which an arm hangs, and its value 0 does not mean that the effect is absent.
+    Phases of declared effects are added if they are zero, unless the machine ties them: a phase is an angle
+    like any other, for example that at which an arm hangs, and its value 0 does not mean that the effect is
+    absent. An effect is absent, and has no free parameters, if all its other parameters are zero or fixed.
 
     Args:
         machine: Machine with the starting values.
 
     Returns:
-        Free parameters, centered on the machine's values.
+        Free parameters, centered on the machine's values. Viscous friction, back-EMF and dry friction that is
+        declared as zero may take any value from 0 on.
     """
     free = default_free_parameters(machine)
     known = {parameter.name for parameter in free}

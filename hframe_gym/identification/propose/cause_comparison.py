@@ -194,7 +194,12 @@ class CauseComparison:
         return np.stack(columns, axis=1)
 
     def direction(self, index: int) -> Array:
-        """Return the response of each channel to a unit force or error at `index`, shape (channels,)."""
+        """Return the response of each channel to a unit cause, in units of its noise, shape (channels,).
+
+        Args:
+            index: Index of the coordinate on which a force of 1 N or 1 Nm acts, or, where disagreements of
+                sensors are compared, of the sensor that has an error of one unit.
+        """
         return self._directions[:, index]
 
     def target(self, index: int) -> Array:

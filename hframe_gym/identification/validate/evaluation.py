@@ -59,13 +59,19 @@ _UNSTABLE = (
 def with_certain_effects(outcome: SearchOutcome, criteria: SelectionCriteria, log: LineLog) -> SearchOutcome:
     """Remove the effects whose amplitude may be zero, given the covariance of the fitted parameters.
 
-    The least certain effect is removed first; the others may be certain without it. A possible delay of the
-    inputs is no reason to remove a delay or lag of the drives, because it is what such an effect describes.
+    The least certain effect is removed first and the remaining parameters are fitted again: without it, the
+    other effects may be certain. An effect that another one requires stays while the other one does. A
+    possible delay of the inputs is no reason to remove a delay or lag of the drives, because it is
+    what such an effect describes.
 
     Args:
         outcome: Outcome of a search, after the held-out runs have removed effects.
         criteria: Decision threshold `chance`.
         log: Called with a line of text for each effect that is removed.
+
+    Returns:
+        The outcome with the removed effects among the considered ones, and the verdict without them;
+        `outcome` itself if all its effects are certain.
     """
     while outcome.selected:
         data = refine_dataset(outcome.data, outcome.after.machine)

@@ -56,7 +56,10 @@ class LogFormat(ABC):
         """
 
     def logs_in(self, folder: Path) -> list[Path]:
-        """Return the files of a folder to open, or the folder itself if it is one data set of this format."""
+        """Return the files of a folder to open, or the folder itself if it is one data set of this format.
+
+        The result is empty if the folder is no data set of this format.
+        """
         return []
 
     def is_log(self, path: Path) -> bool:

@@ -45,7 +45,7 @@ class LeRobotLogs(LogFormat):
 
     @override
     def logs_in(self, folder: Path) -> list[Path]:
-        """Return the files of all episodes of a data set."""
+        """Return the Parquet files of a data set, sorted by path; empty if the folder is none."""
         return sorted(folder.glob("data/*/*.parquet")) if (folder / _INFO).is_file() else []
 
     @override
