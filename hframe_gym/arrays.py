@@ -47,10 +47,13 @@ Actions: TypeAlias = NDArray[np.float64]
 """Voltages divided by the rated voltages, in [-1, 1], shape (B, drives)."""
 
 ToolPositions: TypeAlias = NDArray[np.float64]
-"""Positions of the tool, m, shape (B, axes)."""
+"""Positions of the tool, m of belt travel (radius * angle along a rotary axis), shape (B, axes)."""
 
 PreviewedGoals: TypeAlias = NDArray[np.float64]
-"""Tool goals, m, shape (B, 1 + H, axes): now, then at the ends of the next H periods; H = 0: a fixed goal."""
+"""Goals of the tool, as `ToolPositions`, m, shape (B, 1 + H, axes).
+
+The first is the present goal, the others are those at the ends of the next H periods; H = 0: a fixed goal.
+"""
 
 TravelStates: TypeAlias = NDArray[np.float64]
 """Belt travel of the coordinates, m, then its velocity, m/s, shape (B, 2 n)."""
@@ -88,6 +91,7 @@ KeyedObservation: TypeAlias = Mapping[str, NDArray[Any]]
 - `observation`: positions of the tool's axes and the driven coordinates, m and rad, then their velocities,
   m/s and rad/s, if the full state is observed, shape (B, 2 n); otherwise one measurement per sensor,
   shape (B, channels);
-- `desired_goal`: present tool goal, m, shape (B, axes);
-- `preview`, only for a moving goal: goals at the ends of the next H periods, m, shape (B, axes * H).
+- `desired_goal`: present tool goal, m or rad, shape (B, axes);
+- `preview`, only for a moving goal: goals at the ends of the next H periods, m or rad, shape (B, axes * H):
+  all axes of the first, then of the second, ...
 """

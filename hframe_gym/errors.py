@@ -21,6 +21,10 @@ class InputError(ValueError):
 def naming_extra(extra: str, need: str) -> Iterator[None]:
     """Catch a failed import in the `with` block; the new error names the extra to install.
 
+    Args:
+        extra: Extra of this package that installs what the block imports, such as "report".
+        need: What needs the import, for the message, such as "plots need matplotlib".
+
     Raises:
         ImportError: If a package is missing; the message is `need` and the command that installs the extra.
     """
@@ -34,7 +38,10 @@ _LONGEST_REASON = 300  # characters; those of other libraries may hold a whole f
 
 
 def one_line(error: Exception) -> str:
-    """Return an exception's message in one line, or the name of its type if the message is empty."""
+    """Return an exception's message in one line, or the name of its type if the message is empty.
+
+    Longer messages are cut after 300 characters.
+    """
     return " ".join(str(error).split())[:_LONGEST_REASON] or type(error).__name__
 
 

@@ -8,7 +8,11 @@ from .registry import load_plugins
 
 
 def with_choices(text: str) -> str:
-    """Return a help text with the registered names in place of placeholders such as {tasks}."""
+    """Return a help text with the registered names in place of placeholders such as {tasks}.
+
+    `registered_choices` lists the placeholders; another one raises a KeyError. A text without braces is
+    returned unchanged.
+    """
     return text.format(**registered_choices()) if "{" in text else text
 
 

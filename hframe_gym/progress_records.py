@@ -13,12 +13,19 @@ _MARK = "\x1e"  # the record separator of JSON text sequences (RFC 7464)
 
 
 def requested() -> bool:
-    """Return whether the program that started this process has asked it to print progress records."""
+    """Return whether the program that started this process has asked it to print progress records.
+
+    It asks by the environment variable HFRAME_PROGRESS=json (`REQUEST`).
+    """
     return REQUEST.items() <= os.environ.items()
 
 
 def line_of(record: Mapping[str, Any]) -> str:
-    """Format a progress record as a line of output, without a line end."""
+    """Format a progress record as a line of output, without a line end.
+
+    Args:
+        record: What JSON can represent, by any names.
+    """
     return f"{_MARK}{json.dumps(record)}"
 
 

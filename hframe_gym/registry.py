@@ -101,7 +101,13 @@ def names_module(name: str) -> bool:
 
 
 def import_modules(package: str, path: Iterable[str], *, skip: tuple[str, ...] = ()) -> None:
-    """Import all modules of a package, except those in `skip`, so that their parts are registered."""
+    """Import all modules of a package, except some, so that their parts are registered.
+
+    Args:
+        package: Full name of the package, such as "hframe_gym.controllers".
+        path: Its folders, the attribute `__path__` of the package.
+        skip: Names of modules in the package that are not imported.
+    """
     for module in pkgutil.iter_modules(path):
         if module.name not in skip:
             importlib.import_module(f"{package}.{module.name}")
@@ -145,7 +151,7 @@ class Registry(Generic[T]):
         return add
 
     def unregister(self, name: str) -> None:
-        """Remove a class or function from the registry, for example at the end of a test."""
+        """Remove what is registered under a name, for example after a test; KeyError if nothing is."""
         del self._parts[name]
 
     def get(self, name: str) -> T:

@@ -30,7 +30,8 @@ def white_noise(pieces: Iterable[Array], order: int) -> float:
 
     Args:
         pieces: Pieces of a signal, in any unit, each of shape (n,).
-        order: Order of the differences, dimensionless.
+        order: Order of the differences, dimensionless: 1 for those of neighboring values, 2 for the
+            differences of these, and so on.
 
     Returns:
         Standard deviation, in the unit of the values; 0 if no piece has more values than `order`.

@@ -103,10 +103,12 @@ class Stage(ABC, Generic[Tensor]):
         """
 
     def rest(self, tool: ArrayLike | None = None, *, batch: int = 1) -> Tensor:
-        """Return `batch` states at rest with unstretched belts, SI, shape (B, S).
+        """Return B states at rest with unstretched belts, SI, shape (B, S).
 
         Args:
-            tool: Positions of the linear coordinates, m, shape (B, linear coordinates); default: all at 0.
+            tool: Positions of the linear coordinates, m, shape (B, linear coordinates), or (linear
+                coordinates,) for one state. Default: all coordinates at 0.
+            batch: Number of states B if `tool` is not given; otherwise ignored.
         """
         if tool is None:
             rows = [rest_state(self.machine)] * batch
@@ -130,7 +132,10 @@ class Stage(ABC, Generic[Tensor]):
         return self.parameter_names.index(name)
 
     def with_end_stops(self, parameters: Array) -> Array:
-        """Append the parameters of the end stops, if any, to `parameters`, SI, shape (B, P)."""
+        """Append the parameters of the end stops to `parameters`, SI, shape (B, P), for `motion`.
+
+        Without end stops, they are returned unchanged.
+        """
         return self._stops.parameters(parameters) if self._stops else parameters
 
     def checked(
@@ -140,7 +145,14 @@ class Stage(ABC, Generic[Tensor]):
         parameters: Sequence[int],
         earlier: Sequence[int] | None,
     ) -> None:
-        """Raise an InputError if the shapes of the arguments do not fit the machine and each other."""
+        """Raise an InputError if the shapes of the arguments do not fit the machine and each other.
+
+        Args:
+            start: Shape of the first states, which must be (B, S).
+            voltages: Shape of the voltages, (B, T, drives) with any T.
+            parameters: Shape of the parameters, (B, P).
+            earlier: Shape of the voltages of earlier periods, (B, any number, drives); None without them.
+        """
         batch = start[0] if len(start) == 2 else -1
         drives, size = len(self.machine.drives), len(self.state_names)
         expected = {
@@ -164,9 +176,9 @@ class Stage(ABC, Generic[Tensor]):
                 )
 
     def check_finite(self, states: Array) -> None:
-        """Raise a NotFiniteError unless all entries of `states`, SI, shape (B, T + 1, S), are finite.
+        """Raise a NotFiniteError unless all |entries| of `states`, SI, shape (B, T + 1, S), are below 1e6.
 
-        The error names the time and the coordinate.
+        The error names the motion, the entry of the state and the time.
         """
         diverged = ~(np.abs(states) < DIVERGED)
         if diverged.any():

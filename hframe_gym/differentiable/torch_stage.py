@@ -116,12 +116,17 @@ class DifferentiableStage(Stage[torch.Tensor]):
         Args:
             state: States, SI, shape (B, S).
             voltages: Voltages, V, shape (B, drives).
-            parameters: Parameters, SI, shape (P,) or (B, P).
-            earlier: Voltages of periods before, V, shape (B, any number, drives).
-            start_time: Time since the machines were switched on, s.
+            parameters: Parameters, SI, shape (P,) or (B, P). Default: those of the machine.
+            earlier: Voltages of the periods before, V, shape (B, any number, drives), for drives with a
+                delay. Default: those of this period acted before.
+            start_time: Time since the machines were switched on, s, for effects that depend on it.
 
         Returns:
             States at the end of the period, SI, shape (B, S).
+
+        Raises:
+            InputError: As in `rollout`.
+            NotFiniteError: If a motion diverges.
         """
         states = self.rollout(state, voltages[:, None], parameters, earlier=earlier, start_time=start_time)
         return states[:, 1]
@@ -138,7 +143,11 @@ class DifferentiableStage(Stage[torch.Tensor]):
         return result
 
     def tool_positions(self, states: Tensor) -> Tensor:
-        """Return the tool positions, m, shape (..., axes), at `states`, SI, shape (..., S)."""
+        """Return the tool positions, m or rad, shape (..., axes), at `states`, SI, shape (..., S).
+
+        Raises:
+            InputError: If the machine has no tool axes.
+        """
         if self._tool is None:
             raise InputError(
                 f"machine {self.machine.name!r} declares no tool_axes; use the states themselves"

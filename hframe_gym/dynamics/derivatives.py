@@ -96,8 +96,11 @@ class DifferentiableMotion:
     `hframe_gym.differentiable` makes these functions differentiable functions of torch and of JAX.
 
     Args:
+        machine: One of the machines; it gives the equations of motion.
+        period: Length of a period, s.
         longest_step: Largest step of the integrator, s.
-        friction: Derivative at the corner of friction: "exact", "smoothed" or "sliding" (see `Friction`).
+        friction: Derivative where friction holds or stops a coordinate: "exact", "smoothed" or "sliding"
+            (see `Friction`).
 
     Attributes:
         step: Step of the integrator, s.
@@ -169,6 +172,7 @@ class DifferentiableMotion:
             earlier: Voltages of the periods before the first one, V, shape (B, any number, drives), for
                 drives with a delay. Before all given voltages, the first of them act.
             start_time: Time since the machines were switched on, s, for effects that depend on it.
+            parallel: Whether to distribute the machines over threads; likewise in the other methods.
 
         Returns:
             The motions over T periods, with states of shape (B, T + 1, S); T is the number of voltages.
@@ -214,7 +218,10 @@ class DifferentiableMotion:
         """Compute the gradients of a number, such as a cost, by the chain rule.
 
         Args:
+            motions: Result of `simulate`.
             by_states: Derivatives of the number with respect to the states, per SI unit, shape (B, T + 1, S).
+            by_parameters: Whether to compute the derivatives with respect to the parameters; without, they
+                are zero.
 
         Returns:
             Its derivatives with respect to the first states, shape (B, S), voltages and parameters, shape (B,
@@ -294,8 +301,8 @@ class DifferentiableMotion:
         Args:
             states: States, SI, shape (B, N, S).
             parameters: Parameters, SI, shape (B, P).
-            by_readings: Derivatives of the number with respect to the readings, 1/m or 1/rad, shape (B, N,
-                sensors).
+            by_readings: Derivatives of the number with respect to the readings, 1 / unit of the sensor,
+                shape (B, N, sensors).
 
         Returns:
             states: Derivatives with respect to the states, shape (B, N, S).

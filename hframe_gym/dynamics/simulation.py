@@ -134,6 +134,8 @@ def simulate_batch(
         offsets: Added to the readings of each machine, in the sensors' units, shape (B, sensors). Default: 0.
         longest_step: Largest step of the integrator, s.
         every: Samples from one row to the next; the first sample is a row.
+        states: Whether to return positions and velocities.
+        readings: Whether to return the sensors' readings.
         effects: Whether to return the states of effects, with positions and velocities. A motion goes on from
             its end if they follow the positions and velocities of the next `start`.
         parallel: Whether to distribute the machines over threads; False if the caller does so.
@@ -242,11 +244,11 @@ def simulate(
     offset: ArrayLike = 0.0,
     longest_step: float = LONGEST_STEP,
 ) -> Trajectory:
-    """Simulate a machine over a voltage history; inputs are held from each sample until the next.
+    """Simulate a machine over a history of commands, each held until the next sample.
 
     Args:
         time_s: Sample times, s, strictly increasing, shape (N,).
-        inputs: Drive voltages, V, shape (N, drives).
+        inputs: Command of each drive, in its unit (`Machine.command_unit`), usually V, shape (N, drives).
         initial: Positions (m, rad), then velocities (m/s, rad/s), at the first sample,
             shape (2 * coordinates,). The internal states of all effects that have one (a hysteresis, for
             example) may follow, in the order of `machine.effects`; without them they are zero. Default: at

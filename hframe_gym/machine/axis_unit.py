@@ -35,7 +35,10 @@ class AxisUnit:
 
     @cached_property
     def bands(self) -> Mapping[str, float]:
-        """Settling bands around a goal, by name, from wide to narrow: "1mm", ... or "10mrad", ..."""
+        """Settling bands: largest distance to the goal, in this unit, by name, from wide to narrow.
+
+        They are {"1mm": 1e-3, "0.2mm": 2e-4, "0.05mm": 5e-5}, or "10mrad", "2mrad" and "0.5mrad".
+        """
         sizes = [round(size * self.per_meter, 9) for size in _BANDS]
         return {f"{1e3 * size:g}{self.small}": size for size in sizes}
 
@@ -51,7 +54,7 @@ class AxisUnit:
 
     @property
     def bound_size(self) -> float:
-        """Size of the band `bound_band`, in this unit."""
+        """Largest distance to the goal within the band `bound_band`, in this unit."""
         return self.bands[self.bound_band]
 
 

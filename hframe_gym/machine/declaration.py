@@ -54,7 +54,7 @@ FIXED_UNITS = {"voltage": "V", "current": "A", "torque": "Nm", "tension": "N"}
 
 
 def written_unit(unit: str) -> str:
-    """Return a unit as it is written behind a number: "" for "1", the unit of dimensionless quantities."""
+    """Return a unit as it is written behind a number: "" for "1" (dimensionless), else the unit itself."""
     return "" if unit == "1" else unit
 
 
@@ -169,7 +169,13 @@ class Component:
 
     @classmethod
     def variant(cls, coordinate: CoordinateKind, kind: str = "") -> Variant:
-        """Return what the kinds of component and coordinate determine: units, defaults, absent attributes."""
+        """Return what the kinds of component and coordinate determine: units, defaults, absent attributes.
+
+        Args:
+            coordinate: Kind of the coordinate itself, or of the one at which the component is, "linear" or
+                "rotary".
+            kind: Kind of the drive or sensor, such as "encoder"; "" for coordinates and belts.
+        """
         return Variant()
 
     @classmethod

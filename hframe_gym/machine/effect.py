@@ -423,6 +423,7 @@ class AppliedEffect:
     """An effect at a site of a machine, with parameter values.
 
     Attributes:
+        definition: The effect, such as `EFFECTS["cogging"]`.
         site: Name of the coordinate, drive, belt or sensor channel, or "drives", "belts", "machine".
         parameters: Values by name, SI: floats, or arrays for many variants at once.
     """
@@ -476,7 +477,11 @@ class AppliedEffect:
         return (self.site,) if self.site in names or not names else names
 
     def with_parameters(self, parameters: Mapping[str, float]) -> AppliedEffect:
-        """Return a copy with all parameter values replaced, SI, without checks."""
+        """Return a copy with other parameter values, without checks.
+
+        Args:
+            parameters: Value of every parameter of the effect, SI, by name; none keeps its present value.
+        """
         return dataclasses.replace(self, parameters=dict(parameters))
 
     def check_site(self, machine: Components) -> None:

@@ -181,7 +181,10 @@ class Machine:
 
     @cached_property
     def highest_frequency(self) -> float:
-        """Highest natural frequency of the masses on the belts at position 0, without effects, rad/s."""
+        """Highest natural frequency of the masses on the belts at position 0, without effects, rad/s.
+
+        It is 0 without belts.
+        """
         # Squared frequencies are the squared singular values of diag(k)^(1/2) G M^(-1/2).
         mass = np.array([c.mass for c in self.coordinates])
         stiffness = np.array([b.EA / b.rest_length for b in self.belts])
@@ -363,7 +366,12 @@ class Machine:
         }
 
     def variant(self, component: Component) -> Variant:
-        """Return what a component's kind and its coordinate determine: units, defaults, absent attributes."""
+        """Return what a component's kind and its coordinate determine: units, defaults, absent attributes.
+
+        Args:
+            component: Coordinate, belt, drive or sensor; it need not be one of this machine, but the
+                coordinates that it names must be.
+        """
         if isinstance(component, Coordinate):
             return Coordinate.variant(component.kind)
         if isinstance(component, Drive):
@@ -480,10 +488,6 @@ class Machine:
             InputError: If an argument is not an `AppliedEffect`.
             ValueError: If the machine lacks the site of an effect or components that it needs, or already has
                 the effect there.
-
-        Raises:
-            ValueError: If the machine lacks the site of an effect or components that it needs, or has it
-                there already; an InputError if it is not an effect at a site.
         """
         machine = self
         for effect in effects:
@@ -503,13 +507,13 @@ class Machine:
         return machine
 
     def simulate(self, time_s: ArrayLike, inputs: ArrayLike, initial: ArrayLike | None = None) -> Trajectory:
-        """Simulate the machine over a voltage history; inputs are held from each sample until the next.
+        """Simulate the machine over a history of commands, each held until the next sample.
 
         `Trajectory` states the shape of each array of the result.
 
         Args:
             time_s: Times of N samples, s, strictly increasing, shape (N,).
-            inputs: Drive voltages, V, shape (N, drives).
+            inputs: Command of each drive, in its unit (`command_unit`), usually V, shape (N, drives).
             initial: Positions (m, rad), then velocities (m/s, rad/s), at the first sample,
                 shape (2 * coordinates,). Default: at rest at the origin with unstretched belts.
 

@@ -121,7 +121,8 @@ def rest_state(machine: Machine, position: ArrayLike | None = None, *, leading: 
 
     Args:
         position: Positions of the linear coordinates in the machine's order, m, shape (linear coordinates,);
-            a single value applies to all of them. Default: zeros.
+            a single value applies to all of them. Default: zeros. Ignored for a machine without linear
+            coordinates, which rests at zero.
         leading: Number of linear coordinates, the first ones, to which `position` refers; the others, which
             effects added, follow like pulleys. Default: all.
 

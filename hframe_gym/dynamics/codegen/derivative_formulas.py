@@ -26,7 +26,10 @@ def decay_integral_slope(z: Any) -> Any:
 
 
 def end_weight_slope(z: Any) -> Any:
-    """Return the derivative of w(z) = 1 / (1 - exp(-z)) - 1 / z (`friction.end_weight`), 1/12 at z = 0."""
+    """Return the derivative of w(z) = 1 / (1 - exp(-z)) - 1 / z (`friction.end_weight`), 1/12 at z = 0.
+
+    The argument is dimensionless, as in `decay_integral_slope`.
+    """
     q = z * z
     # Derivative of the Bernoulli series of w, because the closed form cancels for small z.
     p = fma(q, 1.0 / 5322240.0, -1.0 / 172800.0)
@@ -43,7 +46,8 @@ def end_weight_slope(z: Any) -> Any:
 def ramp_slope(z: Any) -> Any:
     """Return the derivative of ramp(z) = (z - 1 + exp(-z)) / z**2 (`friction.ramp`), -1/6 at z = 0.
 
-    Negative z means motion reversed in time.
+    The argument is z = b t / m, dimensionless, of a motion of the duration t; it is negative for motion
+    reversed in time.
     """
     # Taylor series: the sum of (-1)**k (k - 2) z**(k - 3) / k! from k = 3 on.
     p = fma(z, 11.0 / 6227020800.0, -10.0 / 479001600.0)

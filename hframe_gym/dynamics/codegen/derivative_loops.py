@@ -95,10 +95,16 @@ def periods_forward(
     """Simulate blocks first..last-1 over equal periods in which the voltages are held.
 
     Args:
+        functions: Addresses of the kernel's functions prepare, voltage_delays and advance.
+        sizes: Numbers of coordinates, step constants and drives.
+        delayed: Whether a drive has a delay.
         inputs: Voltages, V, shape (B, earlier + simulated periods, drives); the shape of `states` gives the
             number of simulated periods. Before the first period, its voltages act.
         parameters: Machine parameters, SI, shape (B, parameters).
         h: Length of a step, s.
+        steps: Number of steps per period.
+        first: First block.
+        last: Block after the last one.
         states: Belt travel, m, its rate, m/s, time, s, and effect states at the ends of the periods,
             shape (B, periods + 1, rows); the first ones are given, the others are the output.
     """
@@ -145,11 +151,15 @@ def periods_back(
     Args:
         functions: Addresses of prepare, voltage_delays, advance, step_back (with or without parameters),
             prepare_back and voltage_delays_back.
+        sizes: Numbers of coordinates, step constants and drives.
         flags: Whether a drive has a delay, and whether to compute derivatives with respect to the parameters.
         inputs: Voltages, V, shape (B, earlier + simulated periods, drives); the shape of `states` gives the
             number of simulated periods. Before the first period, its voltages act.
         parameters: Machine parameters, SI, shape (B, parameters).
         h: Length of a step, s.
+        steps: Number of steps per period.
+        first: First block.
+        last: Block after the last one.
         states: Belt travel, m, its rate, m/s, time, s, and effect states, shape (B, periods + 1, rows).
         adjoint: Derivatives with respect to these states, 1/m, s/m, ..., shape (B, periods + 1, rows); the
             row of time is ignored.

@@ -66,9 +66,9 @@ class Kernel:
 
 
 def generate_kernel(machine: Machine, *, forced: bool = False) -> tuple[str, KernelSource]:
-    """Return the source text of a machine's kernel, and the `KernelSource` that generated it.
+    """Return the Python source text of a machine's kernel, and the `KernelSource` that generated it.
 
-    With `forced`, the kernel also takes external forces.
+    Nothing is compiled. With `forced`, the kernel also takes an external force on every coordinate.
     """
     source = KernelSource(machine, forced=forced)
     components = {

@@ -62,6 +62,7 @@ def compile_lanes(text: str, formulas: Mapping[str, Callable[..., Any]], lanes: 
     Args:
         text: Python source of functions in the subset that this module describes; imports in it are ignored.
         formulas: Python functions that the text calls, by name; they are inlined and may call each other.
+        lanes: Number of lanes of the registers: machines that one instruction advances.
 
     Returns:
         Module with one exported function, which returns nothing, per function of the text.

@@ -45,7 +45,8 @@ def native_functions(key: str, names: Sequence[str], build: Callable[[], ir.Modu
     Args:
         key: Text that identifies the source code; the cache distinguishes code by it and by the processor.
         names: Names of the functions.
-        build: Called to generate the code's intermediate representation, if the cache lacks it.
+        build: Called to generate the code's intermediate representation (LLVM), if the cache lacks it. The
+            compiled code is then written to the cache folder.
     """
     text = "\n".join((key, llvmlite.__version__, llvm.get_default_triple(), *processor()))
     name = f"kernel_{hashlib.sha256(text.encode()).hexdigest()[:24]}"

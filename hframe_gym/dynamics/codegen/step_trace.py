@@ -79,6 +79,11 @@ def row_name(component: str, index: int, key: str) -> str:
 
     The constants depend on the parameters and the step length only. They are computed before the integration
     and stored in the rows of an array. By the name, the generator of the simulation code finds the row.
+
+    Args:
+        component: Kind of the component, such as "coordinate".
+        index: Its index in the machine.
+        key: The quantity, such as "decay".
     """
     return f"{component}_{index}.{key}"
 

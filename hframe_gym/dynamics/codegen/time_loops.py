@@ -92,6 +92,8 @@ def start_block(
     Columns without a machine repeat the first machine of the block.
 
     Args:
+        block: Index of the block.
+        coordinates: Number of coordinates.
         start_time: Time of the first sample, s.
         parameters: Parameters of all machines, SI, shape (B, parameters).
         start: States of all machines without their time, SI, shape (B, rows of the state - 1).
@@ -116,6 +118,8 @@ def copy_lanes(block: int, row: int, values, table) -> None:
     """Copy values of a block of machines to one row of their recordings.
 
     Args:
+        block: Index of the block.
+        row: Index of the row.
         values: Values of the block (states or readings, any unit), shape (k or more, LANES); the first k are
             copied.
         table: Output for B machines, in the unit of the values, shape (B, rows, k); if empty, nothing is
@@ -141,6 +145,7 @@ def delay_readings(time, i: int, sensor_delays, past_readings, reading) -> None:
 
     Args:
         time: Sample times, s, shape (N,).
+        i: Index of the present sample.
         sensor_delays: Delay of each sensor, s, shape (sensors, LANES), one machine per column.
         past_readings: Readings without delay, in the sensors' units, shape (N, sensors, LANES), up to sample
             i - 1; row i is added.
@@ -170,6 +175,8 @@ def inject_outputs(block: int, row: int, measured, gains, reading, innovation, s
     go over all lanes, so that they are vector instructions.
 
     Args:
+        block: Index of the block.
+        row: Row of `measured` with the present measurements.
         measured: Measurements, in the sensors' units, shape (1 or B, rows, sensors), NaN where not measured.
         gains: Change of belt travel (m) and of its rate (m/s) per m or rad of error,
             shape (2 * coordinates, sensors).
@@ -214,8 +221,13 @@ def hold_inputs(
     """Set voltages and external forces of a block until the next sample.
 
     Args:
+        block: Index of the block.
+        delayed: Whether a drive has a delay.
+        forced: Whether external forces act; if not, `external_forces` is not changed.
         time: Sample times, s, shape (N,).
+        i: Index of the present sample.
         row: Row of the recording at or before sample i.
+        steps: Number of integration steps until the next sample.
         h: Length of a step, s.
         inputs: Voltages, V, shape (1 or B, N, drives).
         extra: External forces along the belt travel, N, shape (1 or B, rows, coordinates).
@@ -292,6 +304,8 @@ def rollout(
         longest_step: Largest step of the integrator, s.
         every: Samples from one row of the recording to the next: more than one if voltages change between the
             rows.
+        first: First block.
+        last: Block after the last one.
         out: Output, first k rows of the state (travel, m; its rate, m/s) in the rows, shape (B, rows, k), or
             empty.
         readings: Output, sensor readings, in the sensors' units, shape (B, rows, sensors); empty if not
@@ -366,9 +380,10 @@ def rollout(
 
 @compiled
 def prepare_blocks(prepare: int, parameters, h: float, first: int, last: int, derived) -> None:
-    """Compute the constants that a step needs (decay factors, reciprocals, ...) for blocks of machines.
+    """Compute the constants that a step needs (decay factors, reciprocals, ...) for blocks first..last-1.
 
     Args:
+        prepare: Address of the kernel's function that does this for one block.
         parameters: Machine parameters, SI, shape (blocks, parameters, LANES).
         h: Step of the integrator, s.
         derived: Output: derived constants, SI, shape (blocks, constants, LANES).
@@ -393,6 +408,8 @@ def advance_blocks(
     """Advance the machines of blocks first..last-1 by some steps with constant voltages, in place.
 
     Args:
+        advance: Address of the kernel's function that does this for one block.
+        coordinates: Number of coordinates.
         state: Belt travel (m), its rate (m/s), time (s) and effect states, shape (blocks, rows, LANES).
         parameters: Machine parameters, SI, shape (blocks, parameters, LANES).
         derived: Constants that `prepare_blocks` computes from parameters and h,
@@ -400,6 +417,7 @@ def advance_blocks(
         inputs: Voltages, V, shape (blocks, drives, LANES); if a drive is delayed, one set per step, shape
             (blocks, steps * drives, LANES).
         h: Step of the integrator, s.
+        steps: Number of steps.
     """
     no_forces = np.zeros((coordinates, LANES))
     for block in range(first, last):
@@ -411,6 +429,7 @@ def read_blocks(read_sensors: int, state, parameters, first: int, last: int, rea
     """Compute the readings of blocks first..last-1, without delay.
 
     Args:
+        read_sensors: Address of the kernel's function that does this for one block.
         state: Belt travel (m), its rate (m/s), time (s) and effect states, shape (blocks, rows, LANES).
         parameters: Machine parameters, SI, shape (blocks, parameters, LANES).
         readings: Output, readings without delay, in the sensors' units, shape (blocks, sensors, LANES).

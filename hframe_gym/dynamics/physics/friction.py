@@ -25,8 +25,8 @@ _SMALL = 0.5
 def decay_integral(z: Any) -> Any:
     """Return (1 - exp(-z)) / z, the factor by which viscous friction reduces a step's change of speed.
 
-    A constant force f changes the speed by f h / m * decay_integral(b h / m) in a step of length h; 1 without
-    damping.
+    A constant force f changes the speed of a mass m with viscous coefficient b by f h / m * decay_integral(z)
+    in a step of length h, with the damping z = b h / m, dimensionless. The factor is 1 for z = 0.
     """
     # Taylor series to z**10 in Horner's form, because the closed form cancels for small z.
     p = fma(z, -1.0 / 39916800.0, 1.0 / 3628800.0)
@@ -86,7 +86,7 @@ def ramp(z: Any) -> Any:
 
 
 def direction(v: Any, f: Any) -> Any:
-    """Return a number with the sign of the motion: the speed v or, at rest, the force f."""
+    """Return a number with the sign of the motion: the speed v, m/s, or at rest the applied force f, N."""
     return where(v == 0.0, f, v)
 
 

@@ -112,7 +112,8 @@ def evaluate_beside_rest(
             complex, shape (rows, 2 n + drives).
 
     Returns:
-        Accelerations, m/s^2 or rad/s^2, shape (rows, n), and sensors' readings, shape (rows, sensors).
+        Accelerations, m/s^2 or rad/s^2, shape (rows, n), and readings in the sensors' units,
+        shape (rows, sensors).
     """
     n, count = len(position), len(deviations)
     positions, velocities = position + deviations[:, :n], deviations[:, n : 2 * n]

@@ -202,6 +202,7 @@ class ParameterizedMachine:
         formula `next_state` advances the state to the time of the point.
 
         Args:
+            k: Index of the effect in `instances`.
             **arguments: Arguments of the formula `next_state`: for an effect that replaces dry friction
                 `level`, the Coulomb friction force, N or Nm; for an effect on a drive's current or law, as
                 far as the formula takes them, the current `i` without the effect, A, the motor voltage `V`,
@@ -250,6 +251,10 @@ class ParameterizedMachine:
         """Return the state of effect k after a step of the integrator, SI.
 
         Args:
+            k: Index of the effect in `instances`; it must have a state.
+            state: Its state before the step, SI.
+            arguments: Arguments of its formula `next_state` that the motion does not give, by name, such as
+                "level" (`ForceBalance.arguments`).
             traveled: Change of the belt travel of each coordinate over the step, m.
             speed: Mean rate of the belt travel of each coordinate in the step, m/s.
             dt: Length of the step, s.
