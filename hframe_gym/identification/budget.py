@@ -198,7 +198,7 @@ class Budget:
 
     @property
     def session_part(self) -> float:
-        """Fraction of a session of normal size that can be fitted in the budget; 1 without a search."""
+        """Fraction of a session of normal size that can be fitted in the budget, at most 1; 1 for budget 0."""
         if self.seconds == 0.0:
             return 1.0
         return min(max(self.seconds / DEFAULT_SECONDS, _LEAST_SESSION_PART), 1.0)
@@ -206,8 +206,10 @@ class Budget:
     def has_time(self, part: float) -> bool:
         """Return whether less than the fraction `part` of the budget is used, so that a stage may begin.
 
+        It may not after an interruption by the user.
+
         Args:
-            part: Part of the budget, dimensionless.
+            part: Fraction of the budget without the reserved time (`reserve`), dimensionless.
         """
         return not self.interrupted and self.spent < self._end(part)
 
@@ -337,7 +339,7 @@ def error_so_far() -> float | None:
 
 
 def may_begin_again() -> bool:
-    """Return whether the active budget, if there is one, leaves time for a second search."""
+    """Return whether the active budget leaves time for a second search; True without an active budget."""
     budget = _ACTIVE.get()
     return budget is None or budget.has_time(SECOND_SEARCH_PART)
 
@@ -359,10 +361,10 @@ def expect_tests(seconds: float) -> None:
 
 
 def spender() -> Callable[[], None]:
-    """Return a function for other threads that does what `spend` does in this thread.
+    """Return a function for other threads that checks the budget that is active in this thread.
 
     Returns:
-        Function without arguments; it raises `BudgetEndedError` as `spend` does.
+        Function without arguments; it raises `BudgetEndedError` as `spend` does, but reports no progress.
     """
     budget = _ACTIVE.get()
     return (lambda: None) if budget is None or budget.delivers else budget.check_quietly

@@ -19,6 +19,9 @@ def parameter_values(label: str, fitted: Fit) -> tuple[ParameterValue, ...]:
     Args:
         label: Label (name@site) of the effect.
         fitted: Fit of the machine with the effect.
+
+    Returns:
+        One entry per parameter, fixed ones included, in the order of the effect's definition.
     """
     effect = next(e for e in fitted.machine.effects if e.label == label)
     free = {f.name: f for f in fitted.free}
@@ -42,7 +45,8 @@ def sizes(effect: AppliedEffect, machine: Machine) -> tuple[Size, ...]:
         machine: Machine with the covariance of its parameters.
 
     Returns:
-        The fitted amplitudes with their standard deviations; none without a covariance.
+        The amplitudes in the covariance with their standard deviations (`Size`), in the unit of each; empty
+        without a covariance.
     """
     uncertainty = machine.uncertainty
     if uncertainty is None:

@@ -31,7 +31,9 @@ def held_out_gain(selected: SelectedEffect, machine: Machine, held_out: Dataset,
     the error of a simulation decides, provided that the effect removes more than half of it.
 
     Args:
+        selected: The effect, with the machine that was fitted without it.
         machine: Machine with all effects.
+        held_out: Held-out runs, prepared.
         bandwidth: Bandwidth of the observer, rad/s; 0 for a simulation.
 
     Returns:
@@ -64,10 +66,13 @@ def error_reduction(without: Machine, machine: Machine, held_out: Dataset, bandw
 
     Args:
         without: Machine to compare with, for example without an effect.
+        machine: The other machine, for example with the effect.
+        held_out: Runs on which they are compared.
         bandwidth: Bandwidth of the observer, rad/s; 0 for a simulation.
 
     Returns:
-        Fraction, dimensionless, at most 1; negative if the error is larger, not finite if a machine diverges.
+        Fraction, dimensionless, at most 1; negative if the error is larger. If predictions diverge: minus
+        infinity for `machine` alone, 1 for `without` alone, NaN for both.
     """
     on_sensors = [
         {
@@ -115,12 +120,14 @@ def is_excited(selected: SelectedEffect, machine: Machine, held_out: Dataset, ba
     force on a carriage that friction holds.
 
     Args:
+        selected: The effect, with the machine that was fitted without it.
         machine: Machine with all effects.
+        held_out: Held-out runs, prepared.
         bandwidth: Bandwidth of the observer, rad/s; 0 for a simulation.
 
     Returns:
-        True if the root mean square change of the predictions is at least 1/20 of the root mean square error,
-        or if a prediction diverges.
+        True if the root mean square change of the predictions by the effect is at least 1/20 of their root
+        mean square error, or if a prediction diverges.
     """
     without = _machine_without(selected, machine)
 
@@ -141,8 +148,13 @@ def shown_effects(
     """Return the evidence of the held-out runs for each of several effects, by its label.
 
     Args:
+        selected: The effects, each with the machine that was fitted without it.
         machine: Machine with all effects.
+        held_out: Held-out runs, prepared.
         bandwidth: Bandwidth of the observer, rad/s; 0 for a simulation.
+
+    Returns:
+        For each effect, `held_out_gain` and `is_excited`.
     """
     return {
         s.effect.label: judge.HeldOutEffect(

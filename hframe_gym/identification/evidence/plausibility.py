@@ -47,12 +47,13 @@ def speeds_inside(machine: Machine, speeds: Array, positions: Array, reference: 
     Args:
         machine: The machine, with the ranges of its coordinates.
         speeds: Magnitudes of the speeds with the effects, as rates of the belt travel, m/s,
-            shape (histories, n, coordinates).
-        positions: Positions without the effects, m or rad, shape (histories, n, coordinates).
-        reference: Magnitudes of the speeds without them, m/s, of the same shape.
+            shape (voltage histories, n samples, coordinates).
+        positions: Positions without the effects, m or rad, of the same shape. Only linear coordinates with a
+            range can leave the workspace.
+        reference: Magnitudes of the speeds without the effects, m/s, of the same shape.
 
     Returns:
-        Largest speeds, m/s; infinite if the motion diverges.
+        Largest speed with the effects, infinite if that motion diverges, and without them, m/s.
     """
     # Also without its effects a machine may leave its workspace, where belts become infinitely stiff.
     inside = np.ones(positions.shape[:2], np.bool_)

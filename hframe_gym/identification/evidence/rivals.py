@@ -57,12 +57,12 @@ def simplest_first(trials: list[Fit], current: Fit, criteria: SelectionCriteria)
     Args:
         trials: Fits with one candidate effect each.
         current: Fit without a candidate, with the same observer bandwidth (rad/s) as the trials.
-        criteria: Decision thresholds; 3 % is the default.
+        criteria: Decision threshold `rival_gain_fraction`, whose default gives these 3 %.
 
     Returns:
         The same fits in a new order. First those that are as good as the best one, by number of free
-        parameters; with equal numbers, effects that need no special part come first. Then all others, by
-        cost.
+        parameters; with equal numbers, effects that need no special part of the machine, such as a magnet,
+        come first. Then all others, by cost.
     """
     ranked = sorted(trials, key=lambda trial: trial.cost)
     if not ranked:
@@ -98,7 +98,7 @@ def limited_last(trials: list[Fit], current: Fit) -> list[Fit]:
 
 
 def selected_first(best: Fit, trials: list[Fit]) -> list[Fit]:
-    """Put the converged fit of the selected effect, `best`, first and remove the trial fit of this effect."""
+    """Return the converged fit of the selected effect, `best`, followed by the `trials` of other effects."""
     label = best.machine.effects[-1].label
     return [best, *(t for t in trials if t.machine.effects[-1].label != label)]
 
@@ -284,8 +284,10 @@ def most_likely_fit(fitted: Fit, data: Dataset, largest_loss: float = math.inf) 
     The longer integration step of the search is too inaccurate to distinguish a delay of 0.1 ms from a lag.
 
     Args:
+        fitted: Fit at any observer bandwidth, from which both fits start.
+        data: Runs to fit.
         largest_loss: Loss, -2 log(likelihood) per measured value, dimensionless; a fit that cannot become as
-            small ends early.
+            small ends early. Default: no early end.
     """
     narrowest = bandwidths_for(data)[-1]
     fits = [fitted]

@@ -57,17 +57,17 @@ class TestedFit:
 
     @cached_property
     def narrower(self) -> Fit:
-        """Fit with the observer of the next smaller bandwidth."""
+        """Fit with the observer of the next smaller bandwidth (`narrower_observer`)."""
         return narrower_observer(self.fitted, self.data)
 
     @cached_property
     def wide(self) -> Fit:
-        """Fit with the observer of the largest bandwidth."""
+        """Fit with the observer of the largest bandwidth, 60 rad/s."""
         return continue_fit(self.fitted, self.data, SEARCH_BANDWIDTH)
 
     @cached_property
     def by_instruments(self) -> Fit | None:
-        """Fit by instrumental variables (`slow_logs.fit_by_instruments`), if it succeeds."""
+        """Fit by instrumental variables (`slow_logs.fit_by_instruments`), or None if it does not succeed."""
         return fit_by_instruments(self.fitted, self.data)
 
     @cached_property
@@ -82,7 +82,7 @@ class TestedFit:
 
     @cached_property
     def likeliest(self) -> Fit:
-        """Fit with the observer of the most likely bandwidth."""
+        """Fit with the observer under which the data are most likely (`fit_with_model_error`)."""
         return fit_with_model_error(self.fitted, self.data)
 
     @cached_property

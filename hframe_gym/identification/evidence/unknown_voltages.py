@@ -64,6 +64,7 @@ def cost_beside_voltages(fitted: Fit, data: Dataset) -> float:
     The cost includes the penalty of the prior.
 
     Args:
+        fitted: Fit whose parameters may change as well, to first order.
         data: Runs that were fitted, whose voltages change between the rows.
 
     Returns:
@@ -156,9 +157,10 @@ def _responses(model: ResidualModel, run: PreparedRecording, missed: Array, star
 
 
 def missed_motion(machine: Machine, run: PreparedRecording, start: Array, period: float) -> Array | None:
-    """Return by how much interpolated rows deviate from the mean motion between rows.
+    """Return the mean motion from each row to the next, minus the mean of the motion interpolated from rows.
 
-    The motion is simulated without an observer, which would add corrections in the rows.
+    Positions and speeds are interpolated as the voltages of the run are. The motion is simulated without an
+    observer, which would add corrections in the rows.
 
     Args:
         machine: Machine to simulate.
@@ -167,7 +169,7 @@ def missed_motion(machine: Machine, run: PreparedRecording, start: Array, period
         period: Sampling period, s.
 
     Returns:
-        Speeds of what each drive moves, m/s or rad/s, then its positions, m or rad,
+        Differences: of the speed of what each drive moves, m/s or rad/s, then of its position, m or rad,
         shape (2 * drives, n - 1); None if the simulation diverges.
     """
     motion = predict(

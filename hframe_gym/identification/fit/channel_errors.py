@@ -64,9 +64,9 @@ def channel_errors(machine: Machine, data: Dataset) -> dict[str, ChannelError]:
             states.
 
     Returns:
-        By name of the output channel: root mean square error `rmse`, m or rad, and `noise_ratio`,
-        dimensionless, the same divided by the standard deviation of the sensor's noise. Both are None for a
-        channel without measurements.
+        By name of the output channel: root mean square error `rmse`, in the channel's unit, and
+        `noise_ratio`, dimensionless, the same divided by the standard deviation of the sensor's noise. Both
+        are None for a channel without finite errors: it was not measured, or the simulation diverges.
     """
     return errors_by_channel(
         list(map_runs(lambda run: simulation_error(machine, run, data), data)), machine, data.noise
@@ -86,7 +86,7 @@ def errors_by_channel(
 
     Returns:
         Errors by name of the output channel, in its unit, and dimensionless relative to noise and motion;
-        None for a channel without measurements.
+        None for a channel without finite errors. The ratio to the motion is also None if the channel rests.
     """
     error = np.concatenate(by_run)
     motions = (
@@ -122,8 +122,8 @@ def white_sensors(machine: Machine, data: Dataset) -> NDArray[np.bool_]:
     once (`run.weights`).
 
     Returns:
-        True where the standard deviation of the block means is at most 0.6 times that of the noise,
-        shape (sensors,); False where the simulation diverges.
+        True where the standard deviation of the block means is at most 0.6 times that of the noise, or no
+        block has been measured, shape (sensors,); False where the simulation diverges.
     """
     rows = max(2, round(_WHITENESS_BLOCK_S / data.period))
     squares, count = np.zeros(len(machine.sensors)), np.zeros(len(machine.sensors))

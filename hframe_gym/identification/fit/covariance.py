@@ -161,8 +161,10 @@ def student_widening(information: Array, estimator: Array) -> Array:
     The degrees of freedom are the effective number of blocks that determine a parameter (Satterthwaite).
 
     Args:
-        information: Information of each block, shape (blocks, k, k).
-        estimator: Change of the parameters per unit of the products of responses and residual, shape (k, k).
+        information: Fisher information in each block of samples, of the k parameters or of amounts along k
+            directions, dimensionless, shape (blocks, k, k).
+        estimator: Change of the estimate, dimensionless, by a change of half the gradient of the cost (J^T r),
+            shape (k, k).
     """
     variances = np.einsum("jm,bmn,jn->bj", estimator, information, estimator, optimize=True)  # by each block
     effective = np.sum(variances, axis=0) ** 2 / np.maximum(np.sum(variances**2, axis=0), 1e-300)

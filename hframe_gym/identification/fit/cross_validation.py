@@ -31,7 +31,11 @@ _MIN_RUNS, _PIECES = 4, 8  # fewer runs are divided into that many pieces to con
 def equations_of_pieces(fitted: Fit, data: Dataset, pieces: int) -> list[NormalEquations]:
     """Return the normal equations of each piece of the runs around a fit.
 
+    The pieces of the first run come first, in the order of time.
+
     Args:
+        fitted: Fit at whose parameters the residual is linearized.
+        data: Runs to divide.
         pieces: Number of pieces into which each run is divided; 1 for complete runs.
     """
     model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, fitted.longest_step)
@@ -78,8 +82,8 @@ def costs_left_out(
         theta: Parameters at which the model is linearized, dimensionless, shape (k,).
 
     Returns:
-        For each piece, the cost of the piece and that of all other pieces, dimensionless; infinite if a piece
-        is not finite.
+        For each piece, the cost of the piece and that of all other pieces, dimensionless; all of them are
+        infinite if the equations of a piece are not finite.
     """
     total = NormalEquations.total(equations)
     if not total.finite:  # the machine diverges
@@ -109,7 +113,7 @@ def costs_of_some_left_out(
         theta: Fitted parameters, at which the model is linearized, dimensionless, shape (k,).
 
     Returns:
-        Cost of each piece, dimensionless; infinite if a piece is not finite.
+        Cost of each piece, dimensionless; all are infinite if the equations of a piece are not finite.
     """
     total = NormalEquations.total(equations)
     if not total.finite:  # the machine diverges
@@ -239,8 +243,8 @@ def pieces_left_out(runs: int, *, table: bool) -> int:
     """Return the number of pieces into which each run is divided to leave one piece out at a time.
 
     It is usually 1: complete runs are left out. With fewer than four runs, it gives at least eight pieces in
-    all, since too few other runs might not determine the parameters. For a machine with a table it is 2,
-    because some of the table's values may depend on a single run.
+    all, since too few other runs might not determine the parameters. For a machine with a table it is at
+    least 2, because some of the table's values may depend on a single run.
 
     Args:
         runs: Number of runs.
@@ -258,9 +262,11 @@ def contradicting_run(fitted: Fit, data: Dataset) -> str | None:
 
     Args:
         fitted: Fitted machine with its observer bandwidth.
+        data: Runs to which it was fitted.
 
     Returns:
-        Name of the run; None if there is none (`judge.run.contradicting_run`).
+        Name of the run; None if there is none (`judge.run.contradicting_run`) or there are fewer than three
+        runs.
     """
     if len(data.runs) < MIN_RUNS_COMPARED:
         return None
@@ -276,6 +282,9 @@ def ratios_to_others(costs: Sequence[tuple[float, float]], counts: Sequence[floa
         costs: For each run, its cost and that of all other runs, dimensionless, with parameters fitted to the
             others.
         counts: Effective number of measured values of each run.
+
+    Returns:
+        Ratio of each run, dimensionless.
     """
     total = sum(counts)
     return [

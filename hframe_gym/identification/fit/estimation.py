@@ -269,11 +269,11 @@ def with_changed_switch(parameter: FreeParameter, j: int, theta: Array, changes:
         parameter: The parameter, such as a threshold (`FreeParameter.switch`).
         j: Its index among the free parameters.
         theta: Dimensionless variables of the k free parameters, shape (k,).
-        changes: Relative changes, shape (c,).
+        changes: Amounts that are added to theta and subtracted from it, dimensionless, shape (c,).
 
     Returns:
-        Copies of theta in which element j is larger by the changes, then those in which it is smaller, within
-        its limits, shape (2 * c, k).
+        Copies of theta in which element j is larger by the amounts, then those in which it is smaller, both
+        clipped to its limits, shape (2 * c, k).
     """
     trials = np.tile(theta, (2 * len(changes), 1))
     trials[:, j] = np.clip(theta[j] + np.concatenate([changes, -changes]), *parameter.theta_limits)

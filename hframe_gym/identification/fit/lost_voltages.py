@@ -71,11 +71,13 @@ def with_lost_voltages(machine: Machine, data: Dataset, held_out: Dataset, log: 
 
     Args:
         machine: Machine as declared.
+        data: Runs to fit.
         held_out: Runs that are not fitted.
         log: Called with a line of text if voltages are estimated, and if they are held over gaps.
 
     Returns:
-        The same runs where no row was dropped.
+        Both data sets with the estimated voltages, and whether the commands are held over the gaps. A data
+        set without dropped rows is returned as it is.
     """
     unknown = _count_unknown_rows(data) + _count_unknown_rows(held_out)
     if not unknown and not _may_be_held(data):

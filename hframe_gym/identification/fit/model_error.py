@@ -113,7 +113,8 @@ def narrower_observer(fitted: Fit, data: Dataset) -> Fit:
     """Fit a machine again with weaker feedback of measurements: an observer of the next smaller bandwidth.
 
     Args:
-        fitted: Fit at one of the bandwidths 60, 30, 15, 7 and 3 rad/s (`BANDWIDTHS`).
+        fitted: Fit at one of the bandwidths of `bandwidths_for`, but not at the smallest
+            (`has_narrowest_observer`).
 
     Returns:
         Fit at the next bandwidth; after 3 rad/s, in a simulation.

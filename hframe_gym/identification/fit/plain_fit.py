@@ -473,14 +473,17 @@ def _term_parameters(effect: AppliedEffect, machine: Machine) -> tuple[FreeParam
 
 
 def starting_values(machine: Machine, data: Dataset) -> list[tuple[Machine, tuple[AppliedEffect, ...]]]:
-    """Determine inertia and friction from the balance of forces, once for each length of the windows.
+    """Determine inertia and friction from the balance of forces over short windows of time.
+
+    Windows of 0.02 to 0.4 s are tried, because short ones see fast motion and long ones suppress noise.
 
     Args:
         machine: Machine as declared.
+        data: Runs to fit.
 
     Returns:
-        Machines with these values, each with the constant forces of its balance; none if the runs determine
-        no motion. With a declared weight there are two variants: with the declared size and with that of the
+        For each length of the windows, a machine with these values and the constant forces of its balance;
+        empty if the runs determine no motion. With a declared weight there are two variants: with the declared size and with that of the
         balance, since small angles hardly distinguish it from a constant force. If the balance determines
         neither inertia nor viscous friction (constant speed in each run), the declared machine, since a
         simulation from rest determines both.

@@ -59,6 +59,7 @@ def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: 
     friction, have states, which remember motion before the run.
 
     Args:
+        machine: Machine to simulate, with its effects.
         run: Run as `prepare` returns it: times, voltages, measurements minus the sensors' zeros, initial
             state.
         data: Data set of the run, for the sampling period and the sensors' quantization steps.

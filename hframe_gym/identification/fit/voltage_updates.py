@@ -113,6 +113,8 @@ def other_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> Vo
 
     Args:
         fitted: Fit of a machine with effects to the runs.
+        data: Runs with the assumed number of changes (`Dataset.updates`).
+        criteria: Decision thresholds for the reduction of the error.
 
     Returns:
         The number of changes if it clearly differs from the assumed one, else None. Also None if an earlier
@@ -320,7 +322,8 @@ def number_with_least_excess(
         number: Assumed number of changes per row, at least 2.
         most: Largest number.
         excess: Excess delay with the assumed number; None if it cannot be estimated.
-        measured: Function that returns the excess delay with another number.
+        measured: Function (number, excess) that estimates the excess delay with another number, None if it
+            cannot; it may start from the excess that was found before.
 
     Returns:
         Number from 2 to `most`; the assumed one if `excess` is None.
@@ -391,9 +394,11 @@ def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
 
     Args:
         fitted: Fit of a machine to the runs with held voltages.
+        data: The runs.
+        criteria: Decision thresholds for the reduction of the error.
 
     Returns:
-        The number of changes, with the errors of the fits with held and with changing voltages.
+        The number of changes, 1 if the voltages are held, with the errors of the fits with held and with changing voltages.
     """
     data = data.with_updates(1)
     held = continue_fit(fitted, data, SEARCH_BANDWIDTH)
@@ -458,7 +463,11 @@ def _change(held: Fit, changing: Fit, data: Dataset, criteria: SelectionCriteria
 
 
 def can_show_updates(data: Dataset) -> bool:
-    """Return whether motion can show that voltages change between the rows: rows far apart, without rests."""
+    """Return whether the motion can show that voltages change between the rows of a log.
+
+    The rows must be several integration steps apart (`most_updates` is above 1), and the inputs must not rest
+    between their changes (`judge.voltages.may_change_between_rows`).
+    """
     return most_updates(data) > 1 and may_change_between_rows(successive_changes(data))
 
 
@@ -480,7 +489,7 @@ def most_updates(data: Dataset) -> int:
 def successive_changes(data: Dataset) -> float:
     """Return the fraction of the input changes that follow a change in the row before.
 
-    Dropped rows, whose inputs are unknown, are not counted.
+    Dropped rows, whose inputs are unknown, are not counted. It is 0 if the inputs never change.
     """
     changes, successive = 0, 0
     for run in data.runs:

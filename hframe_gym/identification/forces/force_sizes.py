@@ -39,6 +39,11 @@ def effect_force(machine: Machine, effect: AppliedEffect, data: Dataset) -> floa
 
     The motion is predicted without the effect.
 
+    Args:
+        machine: Machine with the effect or without it.
+        effect: The effect with its parameters.
+        data: Recordings, prepared.
+
     Returns:
         Force at the belt (torque / pulley radius), N, as `force_size`; infinite for an effect that adds
         coordinates or changes a measurement or the clock.

@@ -118,11 +118,14 @@ def missing_motions(machine: Machine, data: Dataset) -> list[MissingMotion]:
 def motion_directions(machine: Machine, data: Dataset) -> Array:
     """Return the matrix from forces on the coordinates to forces along the rigid motions.
 
+    A rigid motion stretches no belt; a coordinate that takes part in none is a motion of its own.
+
     Args:
         data: Data set, for the sampling period.
 
     Returns:
-        Displacement of each coordinate per unit of the motion, m or rad, shape (motions, coordinates).
+        Displacement of each coordinate per unit of the motion, m or rad, shape (motions, coordinates). The
+        product with forces on the coordinates, N or Nm, gives the force along each motion.
     """
     return _observed_forces(machine, data.period).modes
 
@@ -347,10 +350,10 @@ def _inverted(
 def low_pass(values: Array, period: float) -> Array:
     """Filter a signal as the missing force is filtered: keep its part below 30 Hz, without phase lag.
 
-    The result has the shape (n, k).
+    The result has the shape (n, k) and the unit of the signal.
 
     Args:
-        values: Signal, shape (n, k).
+        values: Signal of any unit, one per column, shape (n, k).
         period: Sampling period, s.
     """
     return _low_pass(values, _RESIDUAL_CUTOFF, period)

@@ -45,13 +45,14 @@ def variables_of_motion(
         velocities: Velocities, m/s or rad/s, shape (n, coordinates).
 
     Returns:
-        By name, shape (n,) each. For each coordinate C: "position of C" (m or rad), "velocity of C",
-        "acceleration of C" below 30 Hz, "path of C" since the start of the run, and "dwell of C", the age of
-        its contacts (s). For each drive D: "current of D" (A; the inductance neglected; for a drive with a
-        law its torque, Nm), "heat of D" (A^2), "load of D", the force that is left for the belts (N or Nm),
-        "impulse of D", the integral of the load. The input channels (V); sums over the drives: "current of
-        drives", "power of drives" (W), "load of drives", and its rate, "tension rate of belts"; "time" and
-        "time in the run" (s).
+        By name, shape (n,) each. For each coordinate C, with u for m or rad: "position of C" (u), "velocity
+        of C" (u/s), "acceleration of C" (u/s^2) below 30 Hz, "path of C" (u), the distance traveled since the
+        start of the run, and "dwell of C" (s), the age of its contacts. For each drive D: "current of D" (A;
+        the inductance neglected; for a drive with a law its torque, Nm), "heat of D" (A^2), the mean of the
+        squared current over the last seconds, "load of D" (N or Nm), the force that is left for the belts,
+        "impulse of D" (Ns or Nms), the integral of the load. The input channels, in their units; sums over
+        the drives: "current of drives" (A), "power of drives" (W), "load of drives" (N or Nm), and its rate,
+        "tension rate of belts" (N/s or Nm/s); "time" and "time in the run" (s).
     """
     names, period = machine.coordinate_names, data.period
     accelerations = np.gradient(low_pass(velocities, period), run.time_s, axis=0)
@@ -92,7 +93,10 @@ def variables_of_motion(
 
 
 def smooth_sign(velocity: Array) -> Array:
-    """Return the direction of a `velocity`, m/s or rad/s, shape (n,): between -1 and 1 where it is slow."""
+    """Return the direction of a `velocity`, m/s or rad/s, shape (n,): near -1 or 1, between them where slow.
+
+    Slow is below a few percent of the root mean square velocity. All values are 0 if nothing moves.
+    """
     slow = _SLOW * float(np.sqrt(np.mean(velocity**2)))
     return velocity / (np.abs(velocity) + slow) if slow > 0.0 else np.zeros_like(velocity)
 

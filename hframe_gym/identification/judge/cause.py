@@ -61,6 +61,9 @@ def rank_of_cause(evidence: CauseEvidence, total: float) -> float:
     Args:
         evidence: Evidence for the cause.
         total: Sum of squares, noise included, dimensionless.
+
+    Returns:
+        Key, dimensionless; the strongest cause has the largest.
     """
     explained = evidence.certain / total
     if evidence.constant:

@@ -519,7 +519,7 @@ class TimingEvidence:
 
 
 def removed_fraction(without: float, with_effect: float) -> float:
-    """Return the fraction of a cost that an effect removes.
+    """Return the fraction of a cost that an effect removes, dimensionless; negative if it adds to the cost.
 
     Args:
         without: Cost without the effect, dimensionless.

@@ -102,7 +102,7 @@ def explains(
     Args:
         error: Error at the most likely observer bandwidth.
         criteria: Decision thresholds `explained_chi2` and `max_noise_ratio_explained`.
-        without_effects: Whether the machine has no other effects than the declared one.
+        without_effects: Whether the machine has no effects beside the declared ones.
         simulated: Function that returns chi-squared per sample of its simulation, dimensionless.
     """
     if not nearly_explains(error, criteria):

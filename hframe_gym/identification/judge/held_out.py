@@ -75,14 +75,14 @@ def refuted_effects(
 
     These runs never add or change an effect. An effect that they do not excite is kept, because the fitted
     runs have confirmed it. If each effect reduces their error but all together make the simulation worse, all
-    of them are returned.
+    that the runs excite are returned.
 
     Args:
         effects: What the runs say about each effect, by its label.
         worsens: Function that returns whether the effects together worsen the simulation.
 
     Returns:
-        Labels, the weakest first, and the reason, a clause that follows "it ".
+        Labels, the weakest first, none if no effect is refuted, and the reason, a clause that follows "it ".
     """
     excited = [label for label, effect in effects.items() if effect.excited]
     refuted, reason = [label for label in excited if effects[label].gain <= 0.0], NO_GAIN

@@ -35,6 +35,9 @@ def preference(cost: float, parameters: int, needs_part: bool, limit: float) -> 
         parameters: Number of its free parameters.
         needs_part: Whether its effect exists on machines with a certain part only.
         limit: Cost up to which trials are equally good, dimensionless.
+
+    Returns:
+        Key for ascending order. Trials above the limit have equal keys: a stable sort keeps their order.
     """
     equal = cost <= limit
     return not equal, parameters if equal else 0, needs_part if equal else False

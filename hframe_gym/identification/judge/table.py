@@ -103,7 +103,9 @@ def is_one_curve(table: float, effects: float) -> bool:
 
 
 def recommended_formula(errors: Sequence[float]) -> int | None:
-    """Return the index of the simplest formula that is as good as the best one; None if there is none.
+    """Return the index of the simplest formula that is as good as the best one; None without formulas.
+
+    Formulas are as good if their squared errors differ by no more than the accuracy of the noise (`AS_GOOD`).
 
     Args:
         errors: Root mean square errors of the formulas, in units of the noise, the simplest formula first.

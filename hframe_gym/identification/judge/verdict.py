@@ -101,15 +101,18 @@ def remaining(after: float, before: float, floor: float) -> float:
 
 
 def error_beyond_noise(motion: float, left: float) -> float:
-    """Return the largest error of a machine, relative to the motion, that noise may hide.
+    """Return the largest error that a machine may have beside the noise, relative to the motion.
 
     It is the part of the squared error beyond the noise, but at least the margin within which two errors are
     equally good, because the noise is not known more accurately. The many samples of an accelerometer show an
     error far below the noise of a single sample.
 
     Args:
-        motion: Error relative to the motion, noise included.
+        motion: Root mean square error, noise included, relative to that of the motion.
         left: The same error in multiples of the noise.
+
+    Returns:
+        Ratio to the motion, dimensionless, at most `motion`.
     """
     part = max(1.0 - 1.0 / left**2, 1.0 - 1.0 / AS_GOOD) if left > 0.0 else 1.0
     return motion * math.sqrt(part)

@@ -25,6 +25,9 @@ def mean_errors(measured, predicted, weights, begin: int, end: int):
         weights: Weights of the measurements, dimensionless, 0 where not measured, shape (n, sensors).
         begin: First row.
         end: Row after the last one.
+
+    Returns:
+        Means in the sensors' units; 0 for a sensor that was not measured in these rows.
     """
     batch, _, sensors = predicted.shape
     means = np.zeros((batch, sensors))
@@ -58,7 +61,7 @@ def scaled_errors(measured, predicted, zeros, scales, rows_per_block: int):
         measured: Measurements, in the sensors' units, any number where not measured, shape (n, sensors).
         predicted: Predicted measurements, in the sensors' units, shape (batch, n, sensors).
         zeros: Errors of the sensors' zeros, in the sensors' units, shape (batch, sensors).
-        scales: Scales, any unit, shape (n, sensors).
+        scales: Factor of each measurement, any unit, 0 where not measured, shape (n, sensors).
         rows_per_block: Number of consecutive rows in a block; rows after the last complete block are left
             out.
     """

@@ -168,7 +168,16 @@ def parameter_table(machine: Machine, free: Sequence[FreeParameter], thetas: Arr
 
 
 def second_difference_penalty(count: int) -> Array:
-    """Return the matrix of the sum of squared second differences of ordinates, shape (count, count)."""
+    """Return the matrix P, dimensionless, of a penalty on the curvature of a table.
+
+    y^T P y is the sum of the squared second differences of the table's ordinates y, shape (count,).
+
+    Args:
+        count: Number of ordinates.
+
+    Returns:
+        P, shape (count, count); 0 for fewer than three ordinates.
+    """
     second_difference = np.diff(np.eye(count), n=2, axis=0)
     penalty: Array = second_difference.T @ second_difference
     return penalty

@@ -221,8 +221,8 @@ class ExpansionPoint:
 
         Args:
             run: Run to predict, one of the data set.
-            responses: Function that returns the residual's changes by m perturbations, shape (m, rows).
-                Default: none.
+            responses: Function of the run and its motion that returns the residual's changes by m
+                perturbations, shape (m, rows). Default: none.
 
         Returns:
             Residual, shape (rows,), its derivatives, shape (k, rows), and the responses, shape (m, rows), all
@@ -242,12 +242,13 @@ class ExpansionPoint:
 
         Args:
             run: Run to predict, one of the data set.
-            changes: Changes of theta, shape (m, k).
+            changes: Changes of theta, dimensionless, shape (m, k).
             states: Whether the returned motion includes positions and velocities.
 
         Returns:
-            Residuals, shape (1 + m, rows); the projection that removed what an error of the initial state can
-            explain; the predicted motions.
+            Residuals, unchanged parameters first, shape (1 + m, rows); the projection that removed what an
+            error of the initial state can explain, None if there is nothing to remove; the predicted motions,
+            followed by those from displaced initial states.
         """
         model, start = self.model, self.starts[run.name]
         motion = predict_with_displaced_starts(

@@ -75,12 +75,14 @@ class NormalEquations:
 
     @classmethod
     def of_pieces(cls, jacobian: Array, residual: Array, count: float, pieces: int) -> list[NormalEquations]:
-        """Form the normal equations of pieces of one run, each of which has the same number of rows.
+        """Form the normal equations of successive pieces of one run, which differ by at most one row.
 
         Args:
             jacobian: J transposed, dimensionless, shape (k, rows).
             residual: Residual r, dimensionless, shape (rows,).
-            count: Number of independent measured values of the run, dimensionless, which the pieces share.
+            count: Number of independent measured values of the run, dimensionless; each piece gets an equal
+                part of it.
+            pieces: Number of pieces.
         """
         parts = zip(np.array_split(jacobian, pieces, 1), np.array_split(residual, pieces), strict=True)
         return [cls.from_rows(*part, count=count / pieces) for part in parts]
@@ -113,7 +115,7 @@ class NormalEquations:
         """Return the normal equations after a unit amount of one perturbation is added to the residual.
 
         Args:
-            response: Index of the perturbation.
+            response: Index of the perturbation, from 0 to m - 1.
         """
         information, gradient = self.response_information[:, response], self.response_gradient
         return dataclasses.replace(
@@ -126,11 +128,11 @@ class NormalEquations:
     def of_some(self, parameters: NDArray[np.bool_], responses: NDArray[np.intp]) -> NormalEquations:
         """Return the normal equations for a subset of the parameters and perturbations.
 
-        The others stay fixed.
+        The others stay fixed; the cost is the same.
 
         Args:
             parameters: True for the parameters of the subset, shape (k,).
-            responses: Indices of the perturbations of the subset, in their new order, shape (m,).
+            responses: Indices of the perturbations of the subset, in their new order, shape (subset,).
         """
         return dataclasses.replace(
             self,
@@ -150,10 +152,12 @@ class NormalEquations:
         return self.cost + float(2.0 * step @ self.gradient + step @ self.information @ step)
 
     def least_cost(self, precision: Array) -> float:
-        """Return the smallest cost that the linear model reaches, dimensionless, without the prior's penalty.
+        """Return the cost of the linear model, dimensionless, after the best change of theta.
+
+        The best change minimizes the cost plus the penalty of the prior; the returned cost is without it.
 
         Args:
-            precision: Inverse covariance of the parameters' prior, dimensionless, shape (k, k).
+            precision: Inverse covariance of the prior of the change, dimensionless, shape (k, k).
         """
         step = np.linalg.solve(self.information + precision, self.gradient)
         return self.cost_after(np.negative(step, dtype=float))

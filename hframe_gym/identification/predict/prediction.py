@@ -98,9 +98,9 @@ def sensor_bandwidths(machine: Machine, bandwidth: float) -> Array:
     """Return the observer bandwidth of every sensor: how fast its measurements correct a prediction.
 
     If the machine has encoders, the bandwidth of its lasers is 5/12 of theirs, because lasers are noisier and
-    only need to correct what encoders cannot measure. A sensor of a speed corrects the velocity of a
-    coordinate whose position is not measured. Sensors of other quantities correct nothing, their errors only
-    count: their bandwidth is 0.
+    only need to correct what encoders cannot measure. A sensor of a speed corrects, with half the bandwidth,
+    the velocity of a coordinate whose position is not measured. All other sensors correct nothing, their
+    errors only count: their bandwidth is 0.
 
     Args:
         bandwidth: Observer bandwidth of the encoders, or of all sensors if there are no encoders, rad/s.
@@ -129,7 +129,8 @@ def innovation_variance(machine: Machine, data: Dataset, bandwidth: float) -> tu
 
     Returns:
         Means of the ratio (variance / noise variance) and of its logarithm over all measured values,
-        dimensionless.
+        dimensionless. If errors of interpolated voltages are filtered out of the residuals (`whitened`), the
+        first is 1, and the second is that before the filter.
     """
     if data.has_voltage_errors and bandwidth >= NARROWEST_WITH_VOLTAGE_ERRORS:
         return 1.0, _log_variance_with_voltage_errors(data, bandwidth)

@@ -118,7 +118,9 @@ def with_voltage_errors(machine: Machine, data: Dataset) -> Dataset:
 
 
 def expected_excess(machine: Machine, data: Dataset, bandwidth: float) -> float:
-    """Return the chi-squared, dimensionless, that errors of interpolated voltages add for an exact machine.
+    """Return the chi-squared per sample that errors of interpolated voltages add for an exact machine.
+
+    It is dimensionless, and 1 if these errors are as large as the noise.
 
     Args:
         machine: Machine, refitted to these runs.

@@ -52,8 +52,8 @@ def voltage_responses(
         most_values: Measurements that are predicted together, at most, unless one perturbation has more.
 
     Returns:
-        Jacobian, 1/V, shape (m, r * drives), and residual, dimensionless, shape (m,), with m values in n
-        rows.
+        Jacobian, 1/V, shape (m, r * drives), and residual, dimensionless, shape (m,), with one value per
+        sensor in each (combined) row, m in total.
 
     References:
         Curtis, Powell and Reid (1974), on the estimation of sparse Jacobian matrices.

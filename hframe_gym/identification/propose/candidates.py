@@ -172,14 +172,33 @@ class SearchState:
         return shared and site != "drives" and len(self.machine.drives) > 1
 
     def sizes(self, effect: Effect, site: str) -> Mapping[str, float]:
-        """Return the typical sizes of quantities for an effect at a component, SI, by unit."""
+        """Return the typical sizes of force, speed and so on at the site of an effect.
+
+        Args:
+            effect: Effect that acts there.
+            site: Component on which it acts.
+
+        Returns:
+            Typical size, SI, by the keys of `TypicalScales.of`, which are units of effects' parameters.
+        """
         return _scales_at(effect, site, self.machine, self.scales)
 
     def unexplained(self, effect: Effect, site: str) -> Array:
         """Return position, velocity and unexplained error at the component of an effect, shape (n, 3).
 
         For an effect of a sensor it is the sensor's error (`sensor_errors`), otherwise the missing force on
-        the coordinate on which the effect acts (`missing_force`). There are no rows if it is unknown.
+        the coordinate on which the effect acts (`missing_force`).
+
+        Args:
+            effect: Effect that acts on a sensor or a coordinate, also through a drive.
+            site: Component on which it acts.
+
+        Returns:
+            Columns in m, m/s and N, or rad, rad/s and Nm, or with the error in the sensor's unit. No rows for
+            a sensor of something else than a position.
+
+        Raises:
+            KeyError: If the effect acts on no single coordinate.
         """
         if effect.site == "sensor":
             return self.sensor_errors.get(site, np.zeros((0, 3)))

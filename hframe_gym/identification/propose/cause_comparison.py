@@ -110,9 +110,10 @@ class Signals:
         return np.concatenate([values[rows] for values, rows in zip(by_run, self._kept, strict=True)])
 
     def filtered(self, name: str, filter_of_run: Callable[[Array], Array]) -> Array:
-        """Apply a filter to a variable, run by run, and cache the result, shape (rows, k).
+        """Apply a filter to a variable, run by run, at all rows of all runs, shape (rows, k).
 
         Args:
+            name: Name of the variable (`variables_of_motion`).
             filter_of_run: Filter of one run, from shape (rows of the run,) to (rows of the run, k).
         """
         return np.concatenate([filter_of_run(self._variables[name][rows]) for rows in self._slices])
@@ -203,7 +204,14 @@ class CauseComparison:
         return self._directions[:, index]
 
     def target(self, index: int) -> Array:
-        """Return the values that a cause at `index` should explain, without lag, shape (n,)."""
+        """Return the values that a cause at `index` should explain, without lag, shape (n,).
+
+        They are the sum over the channels of `direction` times the unexplained values, both in units of the
+        noise, at the compared rows.
+
+        Args:
+            index: Index as in `direction`.
+        """
         return self._prompt @ self.direction(index)
 
     def _designs(self, cause: Cause) -> list[Array]:
