@@ -198,7 +198,7 @@ class Budget:
 
     @property
     def session_part(self) -> float:
-        """Fraction of a session of normal size that can be fitted in the budget, at most 1; 1 for budget 0."""
+        """Fraction of a session of normal size that can be fitted in the budget; 1 without a search."""
         if self.seconds == 0.0:
             return 1.0
         return min(max(self.seconds / DEFAULT_SECONDS, _LEAST_SESSION_PART), 1.0)

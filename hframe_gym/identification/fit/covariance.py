@@ -163,7 +163,7 @@ def student_widening(information: Array, estimator: Array) -> Array:
     Args:
         information: Fisher information in each block of samples, of the k parameters or of amounts along k
             directions, dimensionless, shape (blocks, k, k).
-        estimator: Change of the estimate, dimensionless, by a change of half the gradient of the cost (J^T r),
+        estimator: Change of the estimate by a change of half the gradient of the cost (J^T r), dimensionless,
             shape (k, k).
     """
     variances = np.einsum("jm,bmn,jn->bj", estimator, information, estimator, optimize=True)  # by each block

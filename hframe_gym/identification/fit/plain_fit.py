@@ -483,10 +483,10 @@ def starting_values(machine: Machine, data: Dataset) -> list[tuple[Machine, tupl
 
     Returns:
         For each length of the windows, a machine with these values and the constant forces of its balance;
-        empty if the runs determine no motion. With a declared weight there are two variants: with the declared size and with that of the
-        balance, since small angles hardly distinguish it from a constant force. If the balance determines
-        neither inertia nor viscous friction (constant speed in each run), the declared machine, since a
-        simulation from rest determines both.
+        empty if the runs determine no motion. With a declared weight there are two variants: with the
+        declared size and with that of the balance, since small angles hardly distinguish it from a constant
+        force. If the balance determines neither inertia nor viscous friction (constant speed in each run),
+        the declared machine, since a simulation from rest determines both.
     """
     R = leading_motions(machine)
     measured, runs = _with_positions(machine, data.runs)

@@ -398,7 +398,8 @@ def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
         criteria: Decision thresholds for the reduction of the error.
 
     Returns:
-        The number of changes, 1 if the voltages are held, with the errors of the fits with held and with changing voltages.
+        The number of changes, 1 if the voltages are held, with the errors of the fits with held and with
+        changing voltages.
     """
     data = data.with_updates(1)
     held = continue_fit(fitted, data, SEARCH_BANDWIDTH)

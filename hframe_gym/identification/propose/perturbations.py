@@ -65,6 +65,9 @@ def perturbed_machines(machine: Machine, candidates: Sequence[Candidate]) -> lis
     Args:
         candidates: Candidate effects. Successive ones with the same effect and site are variants of one
             machine.
+
+    Returns:
+        One machine for each group of such candidates, in their order, with the effect of this group alone.
     """
     bare, perturbed = _without_effects(machine), []
     for _, group in itertools.groupby(candidates, key=lambda c: c.label):

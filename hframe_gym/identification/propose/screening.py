@@ -300,7 +300,13 @@ class LimitedResidual:
         return float(2.0 * step @ gradient + step @ self._hessian @ step)
 
     def gain_of(self, column: int) -> float:
-        """Return the reduction of the cost, dimensionless, by a unit amount of one response."""
+        """Return the reduction of the cost, dimensionless, by a unit amount of one response.
+
+        The free parameters adapt within their limits, without the response and with it.
+
+        Args:
+            column: Index of the response.
+        """
         equations = self._equations
         of_parameters = equations.gradient + equations.cross_products[:, column]
         step = minimum_within(self._hessian, of_parameters, self._low, self._high)
@@ -309,7 +315,13 @@ class LimitedResidual:
         return self._least - change - self._change(of_parameters, step)
 
     def gain_of_positive(self, column: int) -> float:
-        """Return the reduction of the cost, dimensionless, by the best positive amount of one response."""
+        """Return the reduction of the cost, dimensionless, by the best positive amount of one response.
+
+        It is 0 if every positive amount increases the cost, or if the response diverges.
+
+        Args:
+            column: Index of the response.
+        """
         columns = np.array([column])
         information = self.information(columns)
         if not information[0, 0] > 0.0 or not self.finite(columns):

@@ -44,8 +44,9 @@ class TypicalScales:
             coordinate: Name of the coordinate; any other text, such as "", gives the general sizes only.
 
         Returns:
-            Typical size, SI, by key: "mass", "force", "speed", "position", "viscous" (force / speed), "drag"
-            (force / speed^2), "stiffness" (force / position), "voltage", "A" (current). Belts: "m"
+            Typical size, SI, by key. Of the coordinate: "mass", "force", "speed", "position", "viscous"
+            (force / speed), "drag" (force / speed^2), "stiffness" (force / position); with a drive,
+            "voltage", "A" (current), "1/A^2", "1/W". General: "session" (duration of all runs, s); with belts, "m"
             (extension), "N" (force), "1/m^2".
         """
         return {**self.general, **self.by_coordinate.get(coordinate, {})}
@@ -119,8 +120,8 @@ def typical_scales(current: Fit, data: Dataset) -> TypicalScales:
         current: Fit of the machine, which predicts the motion.
 
     Returns:
-        Sizes by coordinate, such as "force" (N, Nm), and of belts, such as "m" (m); `scales_of_motion` lists
-        all.
+        The sizes of `scales_of_motion`, and in `general` also "session": the time from the beginning of the
+        first run to the end of the last one, s.
     """
     motions = list(
         map_runs(

@@ -40,6 +40,8 @@ def answers(
     """Answer the five first questions of a reader of the report page.
 
     Args:
+        saved: The saved result.
+        effects: The effects that were found, as rows of the page (`effect_rows`).
         runs: Names of the held-out runs, the worst first.
         step: The most important next step, in words.
 
@@ -107,7 +109,10 @@ def _certainty(saved: SavedResult, effects: Sequence[EffectRow]) -> list[str]:
 
 
 def removed_by_effects(report: Report) -> list[str]:
-    """Return sentences on how much of the simulation error the effects remove, and why, if it is little."""
+    """Return sentences on how much of the simulation error the effects remove, and why, if it is little.
+
+    There are none if the report does not state how much they remove.
+    """
     if (explained := report.explained) is None:
         return []
     removed = (

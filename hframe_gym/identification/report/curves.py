@@ -39,7 +39,11 @@ def run_ratio(report: Report, curves: ResultCurves, run: str, stage: str = "afte
     """Return a machine's simulation error / sensor noise on a held-out run, rms over the channels.
 
     Args:
-        stage: Machine: "declared", "before", "after" or "plain".
+        report: Content of report.json.
+        curves: Curves of the same result.
+        run: Name of a held-out run.
+        stage: Machine: "declared", "before" (refitted), "after" (delivered) or "plain", if there is a plain
+            fit.
 
     Returns:
         The ratio, dimensionless; infinite if the simulation diverges on the run, None if nothing was

@@ -101,7 +101,7 @@ class Evaluation(ReportPart):
 
     @property
     def noise_ratio(self) -> float | None:
-        """Ratio of simulation error to noise, rms over the channels; None if the machine diverges."""
+        """Ratio of simulation error to noise, rms over the channels; None if no channel has an error."""
         ratios = [error.noise_ratio for error in self.channels.values() if error.noise_ratio is not None]
         return math.sqrt(sum(ratio**2 for ratio in ratios) / len(ratios)) if ratios else None
 
@@ -331,7 +331,11 @@ class Report(ReportPart):
     def noise_of(self, channel: str) -> float | None:
         """Return the standard deviation of a sensor's noise, in the channel's unit.
 
-        It is None for a channel without measurements, or if every machine diverges.
+        It follows from an error in this unit and in multiples of the noise. It is therefore None for a
+        channel without measurements, or if every machine diverges.
+
+        Args:
+            channel: Name of an output channel of the report.
         """
         for stage in reversed(STAGES):
             error = self.machines[stage].channels[channel]

@@ -75,6 +75,7 @@ def effect_curve(effect: AppliedEffect, machine: Machine, curves: ResultCurves) 
     Args:
         effect: Effect of the identified machine.
         machine: The machine, with its uncertainty where it is known.
+        curves: Curves of the result; their `coverage` gives the range of the variable.
 
     Returns:
         The curve with n values each, shape (n,). None if the effect is no function of one variable (it has a

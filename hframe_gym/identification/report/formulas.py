@@ -247,7 +247,7 @@ def compare_formulas(
 
 
 def mean_error(errors: Mapping[str, float]) -> float:
-    """Return the mean over the channels of simulation errors, in units of the noise; NaN if there is none."""
+    """Return the mean of `errors` by channel, in units of the noise, dimensionless; NaN if there is none."""
     return float(np.mean(list(errors.values()))) if errors else math.nan
 
 

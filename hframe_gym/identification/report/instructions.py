@@ -62,11 +62,13 @@ def next_steps(
     """Return what to do next, the most important step first.
 
     Args:
+        saved: The saved result.
         folder: Folder of the result that the commands name.
+        effects: The effects that were found, as rows of the page (`effect_rows`).
         runs: Names of the held-out runs, the worst first.
 
     Returns:
-        Steps: sentences with the key "text", and "command", a command line or "".
+        Steps, each with a sentence or more (`text`) and a command line or "" (`command`).
     """
     report, machine = saved.report, saved.machine
     findings = []

@@ -46,7 +46,11 @@ def tone_of_remainder(report: Report) -> Literal["good", "neutral", "warning"]:
 
 
 def drifts(report: Report) -> bool:
-    """Return whether the simulation drifts, so that the report states the drives' force error instead."""
+    """Return whether the simulation drifts, so that the report states the drives' force error instead.
+
+    It drifts if its error on the held-out runs exceeds 50 times the noise, and that of the refitted or the
+    delivered machine half of the motion of a channel. Without a force error, the result is False.
+    """
     ratio = report.after.noise_ratio
     if report.after.force_error is None or ratio is None or ratio <= _MAX_NOISE_RATIO:
         return False
@@ -55,7 +59,10 @@ def drifts(report: Report) -> bool:
 
 
 def cause_of_remainder(report: Report) -> str:
-    """Return the end of a sentence with the cause of the remaining error; "" if it is the sensors' noise."""
+    """Return the end of a sentence with the cause of the remaining error, such as ", whose cause was ...".
+
+    It is "" if the error is below 1.3 times the sensors' noise, or unknown because the simulation diverges.
+    """
     if (left := report.left) is None or left < NOTICEABLE_ERROR:
         return ""
     if not (runs := report.contradicting):
@@ -71,15 +78,15 @@ def cause_of_remainder(report: Report) -> str:
 
 
 def reason_of_remainder(report: Report) -> str:
-    """Return a clause with the reason for the machine's remaining error on the held-out runs.
+    """Return the end of a sentence with the reason for the remaining error on the held-out runs.
 
     Args:
         report: Content of report.json, with the error `left`.
 
     Returns:
-        One of these: the error with the formula recommended in place of a table, if it is clearly smaller;
-        that a table does not describe the rest; that unknown voltages may be the cause; that the motion is
-        unstable; that the reason is unknown.
+        Text that begins with a punctuation mark and ends without one. One of these: the error with the
+        formula recommended in place of a table, if it is clearly smaller; that a table names no cause; that
+        unknown voltages may be the cause; that the motion is unstable; that the cause was not found.
     """
     tables = any(effect.name.partition("[")[0] in HOOK_OF_KIND for effect in report.effects)
     formulas = {
@@ -105,10 +112,11 @@ def reason_of_remainder(report: Report) -> str:
 
 
 def largest_position_error(evaluation: Evaluation) -> str:
-    """Return the largest rms error of the position channels as text: of lengths, or else of angles.
+    """Return the largest rms error of the position channels as text, such as "12 µm rms at x_m".
 
-    Without positions, it is the error of the channel with the largest multiple of its noise, because other
-    units cannot be compared.
+    Angles count only if there are no lengths. Without positions, it is the error of the channel with the
+    largest multiple of its noise, because other units cannot be compared. Without errors, the text is
+    "diverges, or not measured".
     """
     errors = evaluation.channels
     measured = {channel: error.rmse for channel, error in errors.items() if error.rmse is not None}
@@ -126,13 +134,13 @@ def largest_position_error(evaluation: Evaluation) -> str:
 
 
 def in_user_units(evaluation: Evaluation) -> str:
-    """Return the largest rms error of a machine's positions as text, such as "at most 12 um"."""
+    """Return `largest_position_error` of a machine as text, such as "at most 12 µm rms at x_m"."""
     most = "at most " if len(evaluation.channels) > 1 else ""
     return f"{most}{largest_position_error(evaluation)}"
 
 
 def missing_forces(evaluations: Sequence[Evaluation]) -> list[str]:
-    """Format the missing forces of several machines with their unit; "" for an unknown force.
+    """Format the missing force of each of several machines with its unit, such as "3 %"; "" if unknown.
 
     They are in percent of the drives' force. If one exceeds 100 %, because the drives hardly acted, or if the
     commands do not determine the drives' force, all are in N or Nm.
@@ -146,10 +154,14 @@ def missing_forces(evaluations: Sequence[Evaluation]) -> list[str]:
 
 
 def parts_of_remainder(report: Report, *, error: bool = True) -> list[str]:
-    """Return phrases for the remaining error: in mm, and as multiples of noise, motion and drive force.
+    """Return phrases for the remaining error: as a length or angle, and relative to noise, motion and force.
 
     Args:
-        error: Whether to state it in mm and in multiples of the noise.
+        report: Content of report.json.
+        error: Whether to state it as a length or angle and in multiples of the noise.
+
+    Returns:
+        Phrases for what is known; empty if the delivered machine diverges.
     """
     if report.left is None:
         return []
@@ -173,6 +185,9 @@ def remainder_in_words(report: Report, *, error: bool) -> list[str]:
 
     Args:
         error: Whether to state the error as well, because no other sentence does.
+
+    Returns:
+        One sentence, or none if nothing is known of motion and force.
     """
     parts = parts_of_remainder(report, error=error)
     return [f"Left on the held-out runs: {'; '.join(parts)}."] if len(parts) > error else []

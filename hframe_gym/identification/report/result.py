@@ -128,13 +128,19 @@ class IdentificationResult:
 
     @property
     def explained(self) -> float:
-        """Fraction of squared error beyond noise, on held-out runs, that effects remove; 0 without any."""
+        """Fraction of squared error beyond noise, on held-out runs, that effects remove; 0 without effects.
+
+        It is negative if they increase the error, and NaN if a simulation diverges.
+        """
         before, after = (max(e.held_out.noise_ratio**2 - 1.0, 0.0) for e in (self.before, self.after))
         return 0.0 if not self.effects or before <= 0.0 else 1.0 - after / before  # NaN if one diverges
 
     @property
     def left(self) -> float:
-        """Ratio of simulation error to noise on the held-out runs, rms over the channels; 1: noise alone."""
+        """Ratio of simulation error to noise on the held-out runs, rms over the channels; 1: noise alone.
+
+        It is NaN if the simulation diverges.
+        """
         return self.after.held_out.noise_ratio
 
     @property

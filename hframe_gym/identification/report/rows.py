@@ -124,7 +124,7 @@ def parameter_rows(machine: Machine, declared: Machine) -> list[ParameterRow]:
     """Return every identified parameter except a table's, with standard deviation and reasons to doubt it.
 
     Args:
-        machine: Identified machine.
+        machine: Identified machine. Without an uncertainty, there are no rows.
         declared: Machine as declared.
     """
     if machine.uncertainty is None:
@@ -145,7 +145,10 @@ def parameter_rows(machine: Machine, declared: Machine) -> list[ParameterRow]:
 
 
 def correlation_rows(machine: Machine) -> list[CorrelationRow]:
-    """Return the correlations of each identified parameter with the parameters before it; no tables."""
+    """Return the correlations of each identified parameter with the parameters before it.
+
+    Parameters of tables are left out. There are no rows if the machine has no uncertainty.
+    """
     if machine.uncertainty is None:
         return []
     names = machine.uncertainty.names

@@ -29,9 +29,10 @@ _BY_INSTRUMENTS = (
 
 
 def verdict_sentence(report: Report) -> str:
-    """Describe the verdict and the error on the held-out runs in a sentence.
+    """Describe the verdict and the error on the held-out runs in a few sentences.
 
-    The error is the simulation error in units of the sensors' noise, root mean square over the channels. If
+    Sentences on voltages that the log lacks and on undeclared friction come first, where there are any. The
+    error is the simulation error in units of the sensors' noise, root mean square over the channels. If
     the simulation drifts, the relative error of the drives' force is stated instead, if the report contains
     it.
     """
@@ -39,7 +40,7 @@ def verdict_sentence(report: Report) -> str:
 
 
 def undeclared_friction(report: Report) -> list[str]:
-    """Return a sentence about friction that the motion shows and the machine file does not declare."""
+    """Return a sentence about friction that the motion shows and the machine file lacks; none without any."""
     texts = []
     for friction in report.undeclared_friction:
         std = "" if friction.std is None else f" +- {friction.std:.2g}"
@@ -85,7 +86,11 @@ def unknown_voltages(report: Report) -> list[str]:
 
 
 def complete_log(unknown: UnknownVoltages) -> str:
-    """Return a clause, an imperative, that says how to record what a log slower than its controller lacks."""
+    """Return how to record what a log slower than its controller lacks, as an imperative clause.
+
+    Args:
+        unknown: The voltages that the log lacks; the period of their changes is the one to log at.
+    """
     advice = f"log every row of the controller (every {1e3 * unknown.period_s:.3g} ms)"
     if unknown.commands != "set points":
         advice += ", or describe the drives by their set point and log that"
@@ -179,14 +184,14 @@ def _verdict_sentence(report: Report) -> str:
 
 
 def found_effects(report: Report) -> str:
-    """Return a clause that names the effects."""
+    """Return a clause that names the effects: "The machine has an effect that its model lacks: ..."."""
     names = ", ".join(f"{e.name.replace('_', ' ')} at {e.site}" for e in report.effects)
     subject = "an effect" if len(report.effects) == 1 else f"{len(report.effects)} effects"
     return f"The machine has {subject} that its model lacks: {names}"
 
 
 def nearest_effects(report: Report) -> list[str]:
-    """Return a sentence about the effects of the library that describe a part of the missing force."""
+    """Return a sentence about effects of the library that describe a part of the missing force, if any."""
     labels = report.hint.nearest if report.hint else []
     return (
         [f"The nearest effects of the library, which are no causes: {', '.join(labels)}."] if labels else []
@@ -247,7 +252,10 @@ def _remainder(report: Report) -> str:
 
 
 def dependence_sentences(report: Report) -> list[str]:
-    """Return a sentence about sensors that deviate alone, or about the main variable of the force."""
+    """Return a sentence about sensors that deviate alone, or else about the main variable of the force.
+
+    There is none if no sensor deviates alone and the missing force depends on no variable.
+    """
     if sensors := report.residual.sensors:
         return [_DEVIATING.format(" and ".join(sensors), "s" if len(sensors) == 1 else "")]
     sentences = []

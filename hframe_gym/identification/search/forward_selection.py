@@ -563,10 +563,14 @@ class EffectSearch:
         return self._likely[2]
 
     def polished(self, current: Fit) -> Fit:
-        """Return the fit with the shortest integration step (`polish`), from a comparison if it is known.
+        """Fit again with the shortest integration step.
 
         Args:
             current: Fit of the machine with all selected effects.
+
+        Returns:
+            The result of `polish`; at the smallest observer bandwidth that suits the data, the result of
+            `most_likely_fit`, which comparing rivals needs as well and which is computed once.
         """
         if has_narrowest_observer(current, self.data):  # then no other fit is compared with it
             return self._most_likely(current)

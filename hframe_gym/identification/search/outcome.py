@@ -69,9 +69,15 @@ def with_removed(
     """Return an outcome in which one of the effects is moved to the considered (rejected) ones.
 
     Args:
-        removed: The effect.
-        reduced: Fit without the effect.
+        outcome: Outcome with the effect.
+        removed: The effect, one of `outcome.selected`.
+        reduced: Fit without the effect, with all others.
         reason: Why it is removed, a clause that follows "it ".
+        log: Called with a line of text.
+
+    Returns:
+        Outcome with the fit `reduced`, or the refitted machine if no effect is left, and the verdict that
+        follows.
     """
     log(f"  {removed.effect.label} is removed: it {reason}")
     entry = ConsideredEffect(removed.effect, outcome.after.machine, reduced.machine, reason)

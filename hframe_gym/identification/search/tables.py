@@ -310,12 +310,12 @@ def knots_at_bends(knots: Array, values: Array, covariance: Array) -> Array:
     The first and the last knot stay.
 
     Args:
-        knots: Increasing knots, shape (KNOTS,).
-        values: Values of the table at the knots, shape (KNOTS,).
-        covariance: Covariance of the values, shape (KNOTS, KNOTS).
+        knots: Increasing values of the table's variable, in its unit, shape (KNOTS,) with KNOTS = 24.
+        values: Values of the table at the knots, N or Nm, shape (KNOTS,).
+        covariance: Covariance of these values, N^2 or (Nm)^2, shape (KNOTS, KNOTS).
 
     Returns:
-        Increasing knots, shape (KNOTS,); `knots` if no curvature is significant.
+        Increasing knots, in the same unit, shape (KNOTS,); `knots` if no curvature is significant.
     """
     spacing = np.diff(knots)
     slopes = np.diff(np.eye(KNOTS), axis=0) / spacing[:, None]
@@ -353,11 +353,12 @@ def cost_ratio(costs: Array, before: Array) -> float:
     """Return the geometric mean of costs / reference costs of pieces, weighted by the reference costs.
 
     Args:
-        costs: Costs of the pieces, dimensionless, shape (pieces,).
-        before: Costs of the reference, shape (pieces,).
+        costs: Costs of the pieces, dimensionless, shape (pieces,). Pieces whose cost is 0 in either are left
+            out.
+        before: Costs of the reference, dimensionless, shape (pieces,).
 
     Returns:
-        Ratio, dimensionless; infinite if a cost is.
+        Ratio, dimensionless; infinite if any cost is not finite.
     """
     if not np.isfinite([costs, before]).all():
         return math.inf

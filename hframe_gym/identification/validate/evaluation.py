@@ -135,7 +135,7 @@ class HeldOutTest:
         return with_all_measurements(self.held_out, self.session.usable)
 
     def with_runs(self, names: Sequence[str]) -> HeldOutTest:
-        """Return the test restricted to some of the held-out runs."""
+        """Return a test of some of the held-out runs, given by their `names`, without cached errors."""
         return HeldOutTest(self.session, self.held_out.with_runs(names), self.criteria)
 
     def errors(self, machine: Machine, fitted: Dataset, name: str = "") -> ModelEvaluation:

@@ -51,7 +51,9 @@ def predictions_by_run(model: ModelEvaluation, held_out: Dataset, fitted: Datase
 
 
 def largest(errors: Array) -> float:
-    """Return the largest error, dimensionless, ignoring NaN; infinite if nothing was measured.
+    """Return the largest error, dimensionless, ignoring NaN; infinite if there is none above 0.
+
+    Without measurements, nothing shows that the predictions are good.
 
     Args:
         errors: Errors by run and sensor, dimensionless, shape (runs, sensors); NaN if not measured.

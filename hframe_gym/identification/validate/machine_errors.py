@@ -58,7 +58,7 @@ class ModelEvaluation:
     Attributes:
         machine: The machine.
         held_out: Errors on the held-out runs.
-        errors: Simulation errors by name of the held-out run, m or rad, NaN if not measured,
+        errors: Simulation errors by name of the held-out run, in the sensors' units, NaN if not measured,
             shape (n, sensors).
         warnings: Pairs of the name of a run and a sentence about what is unknown about its initial state.
         diverged: Names of the held-out runs on which the simulation diverges; then `held_out` has no channel
@@ -137,8 +137,8 @@ def evaluate_held_out(
 
     Returns:
         The machine with these zeros, its errors by channel, and its simulation errors (measured minus
-        simulated), m or rad, shape (n, sensors) for each run. If the motion of a run diverges, `diverged`
-        names it, its errors are NaN, and no error is given for any channel.
+        simulated), in the sensors' units, shape (n, sensors) for each run. If the motion of a run diverges,
+        `diverged` names it, its errors are NaN, and no error is given for any channel.
 
     Raises:
         KeyError: If the recording of a run is missing.

@@ -158,6 +158,10 @@ def no_worse(
         log: Called with a line of text.
         budget: Budget of the identification, of which a description may use a part.
         differing: Names of the held-out runs that contradict the fitted ones.
+
+    Returns:
+        The outcome with the machine to deliver (`evaluated.after`), the plain fit with its errors, and a
+        sentence if another machine than that of the search is delivered.
     """
     evaluated = judgment.evaluated
     against_all = _runs_against_all(evaluated, plain, differing)
@@ -512,7 +516,7 @@ def descriptions(
         criteria: Decision thresholds, of which the tests of single effects are used.
         log: Called with a line of text at each stage.
         budget: Budget of the identification, of which the searches may use at most 40 % and 45 s.
-        helps: Whether the held-out runs confirm a machine with one more effect.
+        helps: Function of a machine with one more effect that returns whether the held-out runs confirm it.
 
     Yields:
         Fit with one more effect in simulation, and the labels of all; nothing if no effect passes the tests,
