@@ -46,8 +46,8 @@ class TypicalScales:
         Returns:
             Typical size, SI, by key. Of the coordinate: "mass", "force", "speed", "position", "viscous"
             (force / speed), "drag" (force / speed^2), "stiffness" (force / position); with a drive,
-            "voltage", "A" (current), "1/A^2", "1/W". General: "session" (duration of all runs, s); with belts, "m"
-            (extension), "N" (force), "1/m^2".
+            "voltage", "A" (current), "1/A^2", "1/W". General: "session" (duration of all runs, s); with
+            belts, "m" (extension), "N" (force), "1/m^2".
         """
         return {**self.general, **self.by_coordinate.get(coordinate, {})}
 
