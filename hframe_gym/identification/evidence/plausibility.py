@@ -27,11 +27,12 @@ def top_speeds(machine: Machine) -> tuple[float, float]:
     """Return the top speeds of a machine with and without its effects under 2 s of random rated voltage.
 
     Every voltage switches between the positive and the negative rated one at random times (random telegraph
-    signal). Only the time before the machine without effects leaves its workspace is evaluated.
+    signal). Only the time before the machine without effects leaves its workspace is evaluated; of a machine
+    without effects, all of it.
 
     Returns:
-        Largest rate of the belt travel with the effects and without them, m/s; infinite if the motion
-        diverges.
+        Largest rate of the belt travel with the effects and without them, m/s, equal if there are none;
+        infinite if the motion diverges.
     """
     _, speeds = _random_motions(machine)
     if not machine.effects:

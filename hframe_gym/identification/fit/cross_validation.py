@@ -130,7 +130,18 @@ def costs_of_some_left_out(
 
 
 def cross_validated_cost(fitted: Fit, data: Dataset) -> float:
-    """Return the cost, dimensionless, of all runs; each third has parameters fitted to the other thirds."""
+    """Return the cost of all runs with parameters that were fitted to other runs.
+
+    The runs are divided into three parts, each with every third run (of two runs, one each). Each part is
+    predicted with parameters that a linear model fits to the other parts.
+
+    Args:
+        fitted: Fit at which the model is linearized, at any observer bandwidth.
+        data: Runs to which it was fitted, at least two.
+
+    Returns:
+        Cost, dimensionless; infinite if the machine diverges.
+    """
     model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, fitted.longest_step)
     by_run = model.linearize(fitted.theta).by_run
     names, folds = [run.name for run in data.runs], min(_FOLDS, len(data.runs))

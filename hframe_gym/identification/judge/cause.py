@@ -18,7 +18,9 @@ SPECIAL_PREFERENCE = 0.95
 
 
 def beyond_noise(total: float, by_noise: float) -> float:
-    """Return the part of a sum of squares that is certainly not noise, dimensionless.
+    """Return the part of a sum of squares beyond the expected contribution of noise, dimensionless.
+
+    It is at least half of this contribution, which is not known more accurately.
 
     Args:
         total: Sum of squares, dimensionless.

@@ -194,11 +194,12 @@ def exchange_confirms(effects: Sequence[HeldOutEffect]) -> bool:
 
     The second division was chosen because the first held-out runs contradicted the fit. These are fitted now
     and confirm nothing. The runs held out now confirm an effect if they depend on it: a cause that is present
-    in one run alone, such as a loose connector, leaves no trace in them. For example, a dead band of 86 %
-    that looks like friction in three of four runs is named for this (error on unseen runs 1.06 instead of 118
-    times the noise).
+    in one run alone, such as a loose connector, leaves no trace in them. By this rule, for example, a dead
+    band of 86 % is named although it looks like friction in three of four runs; the error on unseen runs is
+    then 1.06 instead of 118 times the noise.
 
     Args:
-        effects: What the runs that are held out now say about each effect.
+        effects: What the runs that are held out now say about each effect. Without effects, nothing is
+            confirmed.
     """
     return bool(effects) and all(effect.excited and effect.gain > 0.0 for effect in effects)

@@ -127,7 +127,8 @@ def contradiction_of_no_effect(evidence: VerdictEvidence, criteria: SelectionCri
     well.
 
     Args:
-        evidence: What the held-out runs say; the machine of the verdict is "after".
+        evidence: What the held-out runs say. The refitted machine, which is the one of this verdict, is taken
+            as the machine with effects.
         criteria: Decision thresholds `max_noise_ratio_explained`, `explained_chi2` and `max_motion_error`.
 
     Returns:

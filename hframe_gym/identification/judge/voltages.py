@@ -82,8 +82,8 @@ def voltages_change_between_rows(evidence: UpdatesEvidence, criteria: SelectionC
 
     Two conditions must hold. Beyond what noise and unknown voltages cause, held voltages leave clearly more
     error, in most runs. And changing voltages reduce the error itself, although interpolation adds an error
-    of its own: if the voltages are really held, it adds much more and reduces nothing (eleven rigs; a machine
-    without one of two effects: by 1.4 %).
+    of its own. If the voltages are really held, interpolation adds much more and reduces nothing: so on
+    eleven rigs, and by 1.4 % only on one whose machine lacked an effect.
 
     Args:
         evidence: Errors with held and with changing voltages.

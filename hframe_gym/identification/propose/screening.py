@@ -113,7 +113,7 @@ class Screening:
         without: Mapping[str, Machine] | None = None,
         compared: Sequence[Candidate] = (),
     ) -> Screening:
-        """Linearize the residual of a fit.
+        """Linearize the residual of a fit with respect to its free parameters and the candidates' amounts.
 
         Args:
             fit: Fit of the machine without the candidates.
@@ -280,6 +280,8 @@ class LimitedResidual:
         cls, equations: NormalEquations, precision: Array, free: Sequence[FreeParameter], theta: Array
     ) -> LimitedResidual | None:
         """Return the linearized residual with limits, or None if no free parameter reaches its limits.
+
+        Also None if the equations are not finite, because a simulation diverges.
 
         Args:
             equations: Normal equations with k free parameters.

@@ -54,6 +54,9 @@ def undeclared_friction(machine: Machine, declared: Machine) -> tuple[Undeclared
     Args:
         machine: Fitted machine, with its uncertainty if that is known.
         declared: Machine as it was declared.
+
+    Returns:
+        One entry for each such viscous or dry friction of a coordinate.
     """
     found = []
     for parameter in default_free_parameters(declared):
