@@ -272,7 +272,7 @@ class InterpolationErrors(VoltageErrors):
 
     @override
     def whiten(self, residual: Array, bandwidth: float) -> Array:
-        """Whiten residuals without what unknown zeros of the sensors explain; NaN if a value is not finite."""
+        """Whiten residuals without what unknown zeros explain; NaN for a prediction that diverges."""
         finite = np.isfinite(residual).all(axis=1)
         if finite.all():
             return self._without_zeros(residual, bandwidth)  # without copies

@@ -179,7 +179,7 @@ class SearchState:
             site: Component on which it acts.
 
         Returns:
-            Typical size, SI, by the keys of `TypicalScales.of`, which are units of effects' parameters.
+            Typical size, SI, by the keys of `TypicalScales.of`.
         """
         return _scales_at(effect, site, self.machine, self.scales)
 

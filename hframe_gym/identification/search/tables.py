@@ -310,7 +310,7 @@ def knots_at_bends(knots: Array, values: Array, covariance: Array) -> Array:
     The first and the last knot stay.
 
     Args:
-        knots: Increasing values of the table's variable, in its unit, shape (KNOTS,) with KNOTS = 24.
+        knots: Increasing values of the table's variable, in its unit, shape (KNOTS,), see `smooth_table`.
         values: Values of the table at the knots, N or Nm, shape (KNOTS,).
         covariance: Covariance of these values, N^2 or (Nm)^2, shape (KNOTS, KNOTS).
 
