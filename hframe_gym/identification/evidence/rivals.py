@@ -146,8 +146,8 @@ def rivals_in_combination(
 
     Returns:
         One effect of the same kinds at each coordinate that has none of them, with amplitude 0; only kinds
-        whose single parameter is an amplitude, for example `constant_force` and `voltage_offset`. Empty
-        without a companion.
+        whose single parameter is an amplitude, for example `constant_force` and `voltage_offset`. Empty if no
+        other effect is of these kinds.
     """
     kinds = {e.name: e.definition for e in (effect, *rivals)}
     of_others = {e.name: e.definition for e in others}
@@ -176,8 +176,9 @@ def hidden_rivals(effect: AppliedEffect, data: Dataset) -> tuple[AppliedEffect, 
         data: Runs that were fitted.
 
     Returns:
-        The other delays and lags at the same site, with the same duration. None if the effect is neither a
-        delay nor a lag, or if all voltages are known.
+        The other delays and lags at the same site, with the same duration. Empty if the effect is neither a
+        delay nor a lag, lasts too long to pass within a row (`judge.rival.only_a_row_tells`), or if all
+        voltages are known.
     """
     if not is_timing(effect.definition) or not data.has_voltage_errors:
         return ()

@@ -23,7 +23,7 @@ class ChannelError(NamedTuple):
     """Simulation error of one output channel; both values are None where the channel was never measured.
 
     Attributes:
-        rmse: Root mean square error, in the channel's unit (m or rad).
+        rmse: Root mean square error, in the channel's unit.
         noise_ratio: `rmse` divided by the standard deviation of the sensor's noise.
         motion_ratio: `rmse` divided by the rms motion, the deviation of the measurements from their mean in
             each run; None also if nothing moves.

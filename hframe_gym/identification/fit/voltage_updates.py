@@ -205,7 +205,9 @@ def _with_fewest_changes(delayed: Fit, data: Dataset, criteria: SelectionCriteri
 def number_with_clear_gains(
     start: Fit, number: int, most: int, again: Callable[[Fit, int, float], Fit], criteria: SelectionCriteria
 ) -> tuple[int, Fit]:
-    """Double the number of voltage changes per row while this clearly reduces the error; else halve it.
+    """Double the number of voltage changes per row while this clearly reduces the error.
+
+    If the first doubling does not, halve the number in the same way, down to 2.
 
     Args:
         start: Fit with the first number.

@@ -246,7 +246,8 @@ class FollowedRun(NamedTuple):
     Attributes:
         positions: Predicted positions, m or rad, shape (n, coordinates).
         velocities: Predicted velocities, m/s or rad/s, shape (n, coordinates).
-        innovation: Measured minus predicted values, m or rad, 0 where not measured, shape (n, sensors).
+        innovation: Measured minus predicted values, in the sensors' units, 0 where not measured,
+            shape (n, sensors).
     """
 
     positions: Array

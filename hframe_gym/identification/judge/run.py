@@ -24,6 +24,8 @@ SAME = 0.05
 def contradicting_run(ratios: Mapping[str, float]) -> str | None:
     """Return the name of the run that contradicts all others most; None if there is none.
 
+    A run contradicts them if its ratio exceeds `FAR`, 10. There must be at least three runs.
+
     Args:
         ratios: By name of a run, its chi-squared per sample / that of the other runs, both for parameters
             that are fitted to the other runs.

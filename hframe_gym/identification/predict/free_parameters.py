@@ -94,7 +94,8 @@ class FreeParameter:
     def beyond_limit(self, theta: float) -> bool:
         """Return whether a fit of this parameter could not reach a given `theta`, dimensionless.
 
-        It is beyond 101 % of the way from 0 to the smallest or largest permitted value (`theta_limits`).
+        That is a theta beyond 101 % of the way from 0 to the smallest or largest permitted one
+        (`theta_limits`). As in `at_limit`, a limit at 0 does not count.
         """
         low, high = ((1.0 + _LIMIT_TOLERANCE) * limit for limit in self.theta_limits)
         return theta < low < 0.0 or 0.0 < high < theta

@@ -200,9 +200,9 @@ def observer_gains(machine: Machine, period: float, bandwidth: float = SEARCH_BA
             there are no encoders.
 
     Returns:
-        Corrections at each sample per m or rad of measured minus predicted value: of the positions (first
-        half of the rows), m or rad, and of the velocities (second half), m/s or rad/s,
-        shape (2 * coordinates, sensors).
+        Corrections at each sample per unit of a sensor's measured minus predicted value: of the positions
+        (first half of the rows), m or rad, and of the velocities (second half), m/s or rad/s,
+        shape (2 * coordinates, sensors); 0 for a sensor that corrects nothing (`sensor_bandwidths`).
     """
     count = len(machine.coordinates)
     gains = np.zeros((2 * count, len(machine.sensors)))
@@ -268,7 +268,8 @@ def predict(
         period: Sampling period, s.
         parameters: All parameters, SI, as in `Machine.parameters`, shape (batch, parameters). Default: the
             machine's.
-        inputs: Voltages, V, shape (batch, n, drives). Default: those of the run.
+        inputs: Voltages or other commands, in the drives' units, shape (batch, n, drives). Default: those of
+            the run.
         extra_force: Additional force on every coordinate, N or Nm, constant from each sample to the next,
             shape (batch, n, coordinates). Default: none.
         extra_measurement: Value added to the sensors' output, in the sensors' units,

@@ -143,9 +143,9 @@ def candidate_perturbations(unperturbed: Unperturbed, perturbed: Sequence[Pertur
         perturbed: The machine with each of the candidate effects, from `perturbed_machines`.
 
     Returns:
-        Forces, N or Nm, shape (columns, n, coordinates), and changes of measurements, m or rad, shape
-        (columns, n, sensors), or None. A column is one basis function of one candidate, in the order of
-        `Candidate.columns`.
+        Forces, N or Nm, shape (columns, n, coordinates), and changes of measurements, in the sensors' units,
+        shape (columns, n, sensors), None if no candidate acts on sensors. A column is one basis function of
+        one candidate, in the order of `Candidate.columns`.
     """
     count, first, motion = sum(each.columns for each in perturbed), 0, unperturbed.motion
     force = np.zeros((count, *motion.positions.shape[1:]))

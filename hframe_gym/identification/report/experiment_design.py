@@ -94,7 +94,7 @@ class ExperimentDesign:
         """Write the sample times, s, and commands as a CSV file with columns time_s and one per channel.
 
         Args:
-            path: File to write; it appears only when it is complete.
+            path: File to write, which replaces an existing one only when it is complete.
             machine: Machine whose drives name the input columns.
 
         Raises:
@@ -124,7 +124,7 @@ def design_discriminating_experiment(
             considered.
 
     Returns:
-        Design of the run with its voltages, V, shape (n, drives). None if the identified effect is structural
+        Design of the run with its inputs (`ExperimentDesign`). None if the identified effect is structural
         or no effect of the fit (the range of a saturated sensor follows from the measurements), if no rival
         remains, if the machine with the rival diverges, or if `separate_machines` finds no run.
     """
@@ -167,9 +167,8 @@ def separate_machines(
             for a coordinate without a declared range, the permitted travel.
 
     Returns:
-        Design of the run with the largest difference, with its voltages, V, shape (n, drives). None if there
-        is no run within the travel for which `ExperimentDesign.sigma`, the difference in standard deviations,
-        reaches 10.
+        Design of the run with the largest difference. None if there is no run within the travel for which
+        `ExperimentDesign.sigma`, the difference in standard deviations, reaches 10.
     """
     rows = round(_DURATION_S / data.period)
     time_s: Array = np.arange(rows, dtype=np.float64) * data.period

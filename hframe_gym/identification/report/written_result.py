@@ -34,7 +34,7 @@ def write_result(
 
     The files are report.json; declared.json, before.json and machine.json (the machine as declared, refitted,
     and with effects); plain.json (that of the plain fit); evidence.npz (`ResultCurves`); next_experiment.csv,
-    if a run is proposed. They appear together or not at all.
+    if a run is proposed. They appear together or not at all, and replace those of an earlier result.
 
     Args:
         result: Result of an identification: machines, selected effects and fitted runs.
