@@ -66,11 +66,13 @@ def policy_keywords(policy: Mapping[str, Any], features: Mapping[str, Any]) -> d
 
 
 def policy_class(kind: str, actuation: Mapping[str, Any]) -> Any:
-    """Return the class of the policy that an algorithm of `ALGORITHMS` needs for dict observations.
+    """Return the class of the policy that an algorithm needs for dict observations.
 
-    "apg" uses the policy of PPO, "sac" uses `LawPolicy` where the observation has the parts of the action.
+    "apg" uses the policy of PPO, "sac" uses `LawPolicy` where the observation has the parts of the action
+    (`parts` in `actuation`).
 
     Args:
+        kind: Algorithm, one of `ALGORITHMS` of recipe.py, such as "ppo".
         actuation: Keyword arguments of `ResidualAction`: the table [actuation] of a recipe.
 
     Raises:
@@ -152,10 +154,7 @@ class Agent(Controller):
             self.mapping.reset(mask)
 
     def structural_mismatch(self, machine: Machine) -> str | None:
-        """Return why the agent cannot run on a machine, as a clause such as "was trained on ...".
-
-        Else None.
-        """
+        """Return why the agent cannot run on a machine, as a clause such as "was trained on ...", or None."""
         return structural_mismatch(self.machine, machine)
 
     def mismatch(self, machine: Machine, period: float, sensors: SensorsLike = "state") -> str | None:
@@ -183,9 +182,10 @@ class Agent(Controller):
         return f"agent {self.card['name']}: {'; '.join(differences)}. Its scores may be poor."
 
     def weights(self) -> dict[str, Any]:
-        """Copy the weights that an agent needs to run, by name.
+        """Copy the weights that an agent needs to run; the critics, needed for training, are left out.
 
-        The critics, needed for training, are left out.
+        Returns:
+            Tensors of torch by their names in the policy's `state_dict`.
         """
         state = self.policy.state_dict()
         return {name: v.detach().clone() for name, v in state.items() if not name.startswith(CRITIC_PREFIXES)}
@@ -294,7 +294,13 @@ def _shape(values: list[Any]) -> list[int]:
 
 
 def structural_mismatch(trained_on: Machine, machine: Machine) -> str | None:
-    """Return why an agent trained on one machine cannot run on another; see `Agent.structural_mismatch`."""
+    """Return why an agent trained on one machine cannot run on another, or None if it can.
+
+    Only the numbers of axes, observed coordinates and drives matter.
+
+    Returns:
+        Clause such as "was trained on a machine with 2 drives, but 'axis' has 1 drive".
+    """
     counts, trained = _part_counts(machine), _part_counts(trained_on)
     differing = [part for part in counts if counts[part] != trained[part]]
     if not differing:

@@ -103,9 +103,12 @@ class _AgentJson(_Table):
 def read_agent_json(folder: Path) -> dict[str, Any]:
     """Read agent.json, which states how to build an agent's policy, and check all values.
 
+    Returns:
+        Content of the file, with the entries `AGENT_KEYS`.
+
     Raises:
-        InputError: If a file is missing, or agent.json is damaged, of another version, lacks an entry or has
-            a value of the wrong type or out of range.
+        InputError: If one of the `AGENT_FILES` is missing, or agent.json is damaged, of another version,
+            lacks an entry or has a value of the wrong type or out of range.
     """
     for name in AGENT_FILES:
         if not (folder / name).is_file():
@@ -131,6 +134,10 @@ def refuse_to_replace(folder: Path, recipe: str, task: str, machine: str, seed: 
 
     Args:
         folder: Folder for the files of a training run; it need not exist.
+        recipe: Name of the recipe of this run, such as "ppo_reach".
+        task: Name of its task.
+        machine: Name of its machine.
+        seed: Its seed.
         alone: Whether the command trains this seed only. Only then does it accept --resume, which the message
             proposes.
 
@@ -172,7 +179,18 @@ def refuse_to_replace(folder: Path, recipe: str, task: str, machine: str, seed: 
 
 
 def read_training_card(file: Path) -> dict[str, Any]:
-    """Read the settings and results of a training run to resume; InputError if the file is damaged."""
+    """Read the settings and results of a training run to resume.
+
+    Args:
+        file: File card.json that the run wrote.
+
+    Returns:
+        Content of the file; it has at least recipe, task, seed, `kept` (training steps of the saved agent)
+        and `curve` (rows of the learning curve).
+
+    Raises:
+        InputError: If the file cannot be read or is damaged.
+    """
     card = read_json(file)
     try:
         columns = {tuple(row) for row in card["curve"]}

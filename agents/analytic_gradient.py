@@ -247,7 +247,10 @@ class AnalyticPolicyGradient:
         torch.save(state, path)
 
     def restore(self, path: str | Path) -> None:
-        """Load weights, optimizer and counters from a file that `save` wrote, to continue the training."""
+        """Load weights, optimizer and counters from a file that `save` wrote, to continue the training.
+
+        The policy must have the same layers as the saved one. `generators` keep their present states.
+        """
         state = torch.load(path, weights_only=True)
         self._trained.load_state_dict(state["trained"])
         self.policy.load_state_dict(state["averaged"])

@@ -138,8 +138,10 @@ def start_agent_folder(recipe: Recipe, task: str, machine: Machine, previews: in
     """Find the folder of the shipped agent from whose weights a recipe, such as "adapt", starts training.
 
     Args:
+        recipe: Recipe whose attribute `start` names the agent.
         task: Name of the task on which training continues; `recipe_task` selects among the agents of the
             package.
+        machine: Machine on which training continues.
         previews: Number of future goals that this task shows.
 
     Raises:
@@ -163,7 +165,7 @@ def start_agent_folder(recipe: Recipe, task: str, machine: Machine, previews: in
 
 
 def shipped_agent_names() -> tuple[str, ...]:
-    """List the trained agents of the package, of all tasks, each once and without "-seedN"."""
+    """List the trained agents of the package, of all tasks, sorted, each once and without "-seedN": "ppo"."""
     return tuple(sorted(_recipes_of(_shipped_folders("*"))))
 
 

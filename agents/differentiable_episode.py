@@ -75,7 +75,8 @@ class SimulatedPeriod:
             parameters: Parameters of the machines in the order of `Machine.parameters`, SI, shape (B, P).
 
         Returns:
-            The motions, with states of shape (B, SAMPLES + 1, S); `outputs` reads them.
+            The motions, with states (positions, velocities and states of effects) at the beginning and at the
+            end of each part; `outputs` and `gradients` take them.
         """
         values = self._end_stops.parameters(parameters)
         # The states of effects begin at zero in every period.
@@ -198,7 +199,16 @@ limited: Any = _Limit.apply
 
 
 def distance_cost(distance: Any) -> Any:
-    """Compute costs of distances, m: from 0 at the goal towards 1, minus the reward `ArrivalReward`."""
+    """Compute the costs of distances to the goal: 0 at the goal, towards 1 far from it.
+
+    A cost is the negative of the reward `ArrivalReward` at this distance.
+
+    Args:
+        distance: Tensor of distances, m, of any shape.
+
+    Returns:
+        Tensor of costs, dimensionless, of the same shape.
+    """
     scales, weights = (torch.tensor(values, dtype=distance.dtype) for values in (SCALES, ARRIVAL_WEIGHTS))
     return (weights * distance[..., None] / (distance[..., None] + scales)).sum(-1)
 

@@ -150,7 +150,10 @@ class PlanBank:
 def check_transfers(designed: TransferDesign, transfers: Sequence[int]) -> None:
     """Raise an InputError if a transfer of one of these durations does not exist for a machine.
 
-    Durations are in periods beyond the shortest transfer.
+    Args:
+        designed: Transfers that exist for the machine.
+        transfers: Durations in control periods beyond the shortest transfer, at least one; valid from 0 to
+            those of the longest one.
     """
     longest = designed.longest - designed.shortest
     if not 0 <= min(transfers) <= max(transfers) <= longest:
@@ -162,5 +165,8 @@ def check_transfers(designed: TransferDesign, transfers: Sequence[int]) -> None:
 
 
 def state_of_observation(model: MotionModel) -> Array:
-    """Return the matrix from a full observation, SI, to the state in belt travel, m, shape (2 n, entries)."""
+    """Return the matrix from a full-state observation, SI, to the state of n coordinates, shape (2 n, 2 n).
+
+    The state is their belt travel, m, then its rate, m/s.
+    """
     return model.state({"observation": np.eye(2 * len(model.mass))}).T

@@ -126,7 +126,12 @@ def improves(costs: Array, kept: Array | None) -> bool:
 
 
 def progress_line(row: Mapping[str, Any]) -> str:
-    """Format a row of a learning curve, from `score_agent` with `steps` and `seconds`, for the terminal."""
+    """Format a row of a learning curve as one line for the terminal.
+
+    Args:
+        row: Scores by name, as `score_agent` returns them, with `steps` (environment steps so far) and
+            `seconds` (duration of the training so far, s).
+    """
     prefix = f"{row['steps']:>9d} steps  {row['seconds']:6.0f} s"
     for small in (unit.small for unit in AXIS_UNITS.values()):
         if f"contour_rms_{small}" in row:
@@ -144,6 +149,10 @@ def write_card(folder: str | Path, card: Mapping[str, Any]) -> None:
     """Write the card of an agent, on its training and its performance, to card.json and README.md.
 
     Each file is replaced only when its new version is complete.
+
+    Args:
+        folder: Folder of the agent; created if it does not exist.
+        card: Content of card.json, see `render_card`.
 
     Raises:
         ValueError: If a number in the card is not finite.

@@ -20,7 +20,14 @@ def import_optional(module: str) -> Any:
 
 
 def require_training_packages(kind: str) -> None:
-    """Import every package that an algorithm needs, so that a missing one is reported before work starts."""
+    """Import every package that an algorithm needs, so that a missing one is reported before work starts.
+
+    Args:
+        kind: Algorithm, one of `ALGORITHMS` of recipe.py, such as "ppo".
+
+    Raises:
+        ImportError: If a package is missing; the message names the extra that has it.
+    """
     for module in (*EXTRA_MODULES, *(("sb3_contrib",) if kind in CONTRIB_ALGORITHMS else ())):
         import_optional(module)
 

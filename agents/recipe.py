@@ -130,9 +130,14 @@ def recipe_names() -> tuple[str, ...]:
 
 
 def require_transfers(recipe: Recipe, machine: Machine, task: str) -> None:
-    """Raise an InputError if a machine's workspace is too small for the recipe's transfers.
+    """Check that a machine's workspace is large enough for the recipe's transfers (motions to rest).
 
-    It proposes recipes.
+    Args:
+        task: Name of the task of the training, for the recipes that the message proposes.
+
+    Raises:
+        InputError: If the longest transfer of the recipe does not exist for the machine. The message proposes
+            recipes whose transfers do.
     """
     needed, task = recipe.longest_transfer, recipe_task(task)
     if needed < 0:

@@ -43,6 +43,7 @@ def train_seeds(
     dies starts again. Arguments that are not described are those of `train`.
 
     Args:
+        seeds: Seeds, one agent each.
         out: Folder for the agents: the agent of seed N in its folder seed_N, a single one in `out` itself.
         log: Function that receives one line of text when a run is complete.
         progress: Function that receives the number of complete runs and of all runs, after each run.

@@ -13,8 +13,11 @@ def update_average(average: Any, trained: Any, averaging: float, updates: int) -
     """Update a moving average of the weights of a trained module, in place, after update number `updates`.
 
     Args:
+        average: Module of torch whose weights are the average; modified.
+        trained: Module with the same weights by name, as the last update left them.
         averaging: Fraction of the average that remains, 0 to below 1. At the beginning it is smaller, so that
             the average forgets the first weights.
+        updates: Number of the update, from 1.
     """
     kept = min(averaging, updates / (updates + HALF_KEPT_AFTER))
     with torch.no_grad():

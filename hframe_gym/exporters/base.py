@@ -35,10 +35,14 @@ def option(
     """Declare a field of an exporter that `hframe export` offers as an option of the same name.
 
     Args:
+        default: Value of the field where none is given.
         text: Help text; placeholders such as {sensors} stand for the registered names.
         cli_type: Type of the option on the command line, if it differs from the type of the field.
         least: Smallest value that the command line accepts; None for no limit.
-        most: Largest value that the command line accepts.
+        most: Largest value that the command line accepts; None for no limit. Ignored without `least`.
+
+    Returns:
+        Field of a dataclass, to be assigned to the name of the option.
     """
     limits = None if least is None else (least, most)
     return dataclasses.field(
@@ -47,7 +51,11 @@ def option(
 
 
 def argument(text: str) -> Any:
-    """Declare a field of an exporter that `hframe export` takes as a positional argument; see `option`."""
+    """Declare a field of an exporter that `hframe export` takes as a positional argument.
+
+    Args:
+        text: Help text as for `option`.
+    """
     return dataclasses.field(metadata={HELP: text, ARGUMENT: True, CLI_TYPE: None, RANGE: None})
 
 
@@ -82,7 +90,13 @@ EXPORTERS: Registry[type[Exporter]] = Registry("kind of export")
 
 @dataclass(frozen=True, kw_only=True)
 class MachineExporter(Exporter):
-    """Export of a machine: a pure function from the machine and the options to the contents of files."""
+    """Export of a machine: a pure function from the machine and the options to the contents of files.
+
+    Attributes:
+        separable: Whether each file is of use without the others, so that --out may name one of them (class
+            attribute).
+        machine: Machine to export: object, built-in name, or path of a machine.json.
+    """
 
     # Whether each file is of use without the others; --out may then name one of them.
     separable: ClassVar[bool] = True
@@ -91,7 +105,14 @@ class MachineExporter(Exporter):
 
     @abstractmethod
     def files(self, machine: Machine) -> Files:
-        """Compute the contents of the files by name; an InputError if they cannot describe the machine."""
+        """Compute the files of the export.
+
+        Returns:
+            Content of each file, text or bytes, by its name in the folder of the export.
+
+        Raises:
+            InputError: If the files cannot describe the machine.
+        """
 
     def loaded(self) -> Machine:
         """Load the machine of the field `machine`; InputError if there is none or its file is faulty."""
@@ -104,10 +125,10 @@ class MachineExporter(Exporter):
         Args:
             out: Folder for all files. If the files are `separable`, also a file: it gets the content of the
                 one with the same suffix, and no other is written.
-            log: Called with a line "wrote PATH" for each file.
+            log: Called with a line "wrote PATH" for each file. Existing files of the same names are replaced.
 
         Raises:
-            InputError: If `out` is a file where a folder is needed.
+            InputError: If the files cannot describe the machine, or `out` is a file where a folder is needed.
         """
         out = Path(out)
         files = self.files(self.loaded())
@@ -124,7 +145,13 @@ class MachineExporter(Exporter):
             )
 
     def provenance(self, machine: Machine) -> dict[str, Any]:
-        """Return the origin of an export: machine with its hash, options and version, but no date."""
+        """Return the origin of an export, without a date, so that equal exports have equal files.
+
+        Returns:
+            `software` (name and version of this package), `export` (kind), `options` (values by name, without
+            those that are None), `machine` (name), `description`, `machine_sha256` (hash of its content in
+            hexadecimal) and `effects` (labels).
+        """
         content = json.dumps(machine_to_dict(machine), sort_keys=True)
         options = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "machine"}
         return {
@@ -153,7 +180,14 @@ class MachineExporter(Exporter):
 
 
 def write_export(folder: Path, files: Files, log: LineLog) -> None:
-    """Write the files of an export to a folder, all together or none, and log the path of each."""
+    """Write the files of an export to a folder, all together or none, and log the path of each.
+
+    Args:
+        folder: Folder, created if it does not exist. Existing files of the same names are replaced, others
+            stay.
+        files: Content of each file, text or bytes, by its name.
+        log: Called with a line "wrote PATH" for each file.
+    """
     contents = {name: text.encode() if isinstance(text, str) else text for name, text in files.items()}
     write_files(folder, contents)
     for name in files:

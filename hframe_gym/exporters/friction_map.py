@@ -94,9 +94,10 @@ def friction_parts(
     """Compute the force against the motion of one coordinate at constant speed, while the others rest.
 
     Args:
-        speed: Speeds, m/s or rad/s, not zero, shape (n,).
+        i: Index of the coordinate.
+        speed: Speeds of the coordinate, m/s or rad/s, not zero, shape (n,).
         leader: Index of a coordinate whose position varies; None if all positions are 0.
-        position: Positions of this coordinate, m or rad, shape (n,).
+        position: Position of this coordinate at each speed, m or rad, shape (n,); ignored without a `leader`.
         time_s: Time since the machine was switched on, s.
 
     Returns:

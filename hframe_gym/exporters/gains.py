@@ -31,8 +31,12 @@ class Gain(NamedTuple):
     """One number of a controller.
 
     Attributes:
+        controller: Name of the controller.
         output: Output of the gain: the force along an axis, or the voltage of a drive.
         input: Input of the gain, such as a position error.
+        gain: Name of the gain.
+        value: Its value, in the unit `unit`.
+        unit: Unit as text.
     """
 
     controller: str

@@ -67,7 +67,11 @@ def refuse_many_values(path: Path, rows: int, columns: int) -> None:
 
 
 def read_document(path: Path) -> str:
-    """Read a text file such as JSON or TOML, UTF-8 or UTF-16 with a byte order mark, of at most 16 MB."""
+    """Read a text file such as JSON or TOML, UTF-8 or UTF-16 with a byte order mark, of at most 16 MB.
+
+    Raises:
+        InputError: If the file cannot be read, is larger, or is not a text in such an encoding.
+    """
     try:
         with open(path, "rb") as file:
             content = file.read(MAX_DOCUMENT + 1)

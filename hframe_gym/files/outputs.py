@@ -41,6 +41,8 @@ def files_of(write: Callable[[Path], Result]) -> tuple[Result, dict[str, bytes]]
 def write_files(folder: str | Path, files: Mapping[str, bytes]) -> None:
     """Write contents, by relative path, to files of a folder; all files appear together, or none does.
 
+    The folder is created if it does not exist. Existing files of these names are replaced, others stay.
+
     Raises:
         InputError: If another process writes to the folder.
         OSError: If the folder cannot be written, or the disk is full.

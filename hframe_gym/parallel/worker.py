@@ -23,7 +23,18 @@ Result = TypeVar("Result")
 def run_task(
     function: Callable[[Item], Result], item: Item, version: str, settings: Mapping[str, str]
 ) -> Result:
-    """Run a task in a worker process, with one thread and the environment variables in `settings`."""
+    """Run a task in a worker process, with one thread for the linear algebra.
+
+    Args:
+        version: Version of this package in the calling process.
+        settings: Environment variables to set in the worker, see `task_settings`.
+
+    Returns:
+        Result of function(item).
+
+    Raises:
+        InputError: If this process has another version of the package.
+    """
     from threadpoolctl import threadpool_limits
 
     if version != __version__:
@@ -37,5 +48,5 @@ def run_task(
 
 
 def task_settings() -> dict[str, str]:
-    """Return environment variables for workers: the package's present settings, and one thread."""
+    """Return environment variables for workers: those that begin with HFRAME_, and limits to one thread."""
     return {k: v for k, v in os.environ.items() if k.startswith("HFRAME_")} | _ONE_THREAD

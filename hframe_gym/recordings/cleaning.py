@@ -46,11 +46,11 @@ _CATCH_UP = 3.0  # times the largest step around a silence
 
 
 def usual_step(time_s: Times) -> float:
-    """Return the longest time between two rows that is not a gap, s; infinite with fewer than two rows.
+    """Return the usual time between two rows, by which gaps are recognized, s.
 
     Returns:
         The sampling period (median step), s. A log of events has none, because a row is written whenever a
-        value arrives; there it is the 95th percentile of the steps.
+        value arrives; there it is the 95th percentile of the steps. Infinite with fewer than two rows.
     """
     steps = np.diff(time_s)
     if not len(steps):
@@ -64,7 +64,7 @@ def missing_rows(time_s: Times) -> NDArray[np.int_]:
     """Count the rows that are missing in each gap, a step of more than 1.5 usual steps (`usual_step`).
 
     Returns:
-        Numbers of missing rows, shape (n - 1,).
+        Number of missing rows between each row and the next one, shape (n - 1,); 0 where there is no gap.
     """
     steps, usual = np.diff(time_s), usual_step(time_s)
     return np.where(steps > GAP_PERIODS * usual, np.rint(steps / usual) - 1, 0).astype(int)

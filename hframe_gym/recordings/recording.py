@@ -55,7 +55,8 @@ class Recording:
     Attributes:
         name: Name of the run: the file name without its ending.
         time_s: Sample times, s, strictly increasing, shape (n,).
-        inputs: Drive voltages, V, in the order of the machine's drives, shape (n, drives).
+        inputs: Command of each drive, V, A, Nm or its set point's unit, held until the next sample, in the
+            order of the machine's drives, shape (n, drives). A duty cycle of a file is here a voltage.
         outputs: Measurements in the channels' units, in the order of the machine's sensors,
             shape (n, sensors); NaN where a value was not measured.
     """
@@ -242,7 +243,15 @@ def _voltages(path: Path, columns: Mapping[str, Array], drive: Drive) -> Array:
 
 
 def recorded_commands(machine: Machine, inputs: Array) -> Array:
-    """Convert `inputs`, V (A, Nm), shape (n, drives), to commands as a file states them (duty cycles)."""
+    """Convert commands of a simulation to those that a file states, where a duty cycle is a fraction.
+
+    Args:
+        inputs: Commands as in `Recording.inputs`, V, A, Nm or the set point's unit, shape (n, drives).
+
+    Returns:
+        Commands of the same shape: voltages of drives of the kind "duty-cycle" divided by the rated voltage,
+        all others unchanged; `inputs` itself if the machine has no such drive.
+    """
     fractions = [DRIVE_KINDS.get(drive.kind).fraction for drive in machine.drives]
     if not any(fractions):
         return inputs
@@ -271,9 +280,13 @@ def _refuse_gaps(path: Path, time_s: Array) -> None:
 
 
 def write_trajectory(path: str | Path, trajectory: Trajectory, inputs: Array, machine: Machine) -> None:
-    """Write a simulated run with its `inputs`, V, shape (n, drives), as a recording with nine digits.
+    """Write a simulated run as a recording, with nine digits, in text.
 
-    If writing fails, an existing file is unchanged.
+    Args:
+        path: File to write, compressed if it ends in .gz; an existing one is replaced, or unchanged if
+            writing fails.
+        trajectory: Simulated run of n rows.
+        inputs: Its commands as in `Recording.inputs`, V, A, Nm or the set point's unit, shape (n, drives).
 
     Raises:
         OSError: If the file cannot be written.
@@ -290,6 +303,8 @@ def write_recording(
     """Write a recording to a file, from which every number is read back exactly.
 
     Args:
+        path: File to write, .csv, .csv.gz or .parquet; an existing one is replaced, or unchanged if writing
+            fails.
         progress: Called with the number of rows written since the last call.
 
     Raises:

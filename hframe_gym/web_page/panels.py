@@ -29,6 +29,7 @@ class Panel(NamedTuple):
     """A plot with one pair of axes.
 
     Attributes:
+        title: Title above the axes.
         description: What the plot shows, for readers who do not see it (alternative text).
         draw: Function that draws on matplotlib axes; colors are those of `color`.
         height: Height, in; the width is 3.6 in.
@@ -79,6 +80,9 @@ def panel_svg(panel: Panel, prefix: str) -> str:
     Args:
         prefix: Prefix of the element's identifiers (letters, digits, hyphens); each plot of a page needs
             another one.
+
+    Returns:
+        Text of the element, from <svg to </svg>.
 
     Raises:
         ImportError: If matplotlib or Jinja is missing; the message says how to install them.
@@ -164,7 +168,11 @@ def _fix_layout(figure: Any) -> None:
 
 
 def legend_above(axes: Any) -> None:
-    """Add a legend above the axes, where it hides no curve, with up to four entries in a row."""
+    """Add a legend above the axes, where it hides no curve, with up to four entries in a row.
+
+    Args:
+        axes: Axes of matplotlib with labeled curves.
+    """
     axes.legend(
         loc="lower right",
         bbox_to_anchor=(1.0, 1.0),

@@ -40,6 +40,7 @@ class AxisMode(NamedTuple):
     """First mode of one axis.
 
     Attributes:
+        axis: Name of the axis in the machine.
         letter: "X" or "Y", the name of the axis in the firmware.
         frequency: Natural frequency, Hz.
         damping: Damping ratio, dimensionless.
@@ -142,7 +143,10 @@ class InputShaperExporter(MachineExporter):
 
 
 def impulse_table(found: list[AxisMode]) -> str:
-    """Write the impulses of all shapers for the first modes of all axes as CSV, one line per impulse."""
+    """Write the impulses of all shapers for the first modes of all axes as CSV, one line per impulse.
+
+    The columns are axis ("x" or "y"), shaper, time_s and amplitude (fraction of the move).
+    """
     lines = ["axis,shaper,time_s,amplitude"]
     for mode in found:
         for shaper in SHAPERS:

@@ -43,7 +43,11 @@ class LinearModel(NamedTuple):
             shape (sensors, drives).
         bias: The constant b: accelerations that constant forces of effects cause, m/s^2 or rad/s^2,
             shape (states,).
+        states: Names of the states.
+        state_units: Unit of each state.
         inputs: Names of the input channels, in V.
+        outputs: Names of the output channels.
+        output_units: Unit of each output.
         input_delays: Delay of each drive, s, shape (drives,); it is not part of the matrices.
         output_delays: Delay of each sensor, s, shape (sensors,); it is not part of the matrices.
         left_out: Labels of effects that have no linear model at rest.

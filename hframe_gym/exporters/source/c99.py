@@ -45,7 +45,12 @@ def c_comment(lines: Sequence[str]) -> str:
 
 
 def constants(parameters: Iterable[Parameter], used: Collection[str]) -> str:
-    """Write the parameters with identifiers in `used` as constants."""
+    """Write the definitions of parameters as static constants, one line each.
+
+    Args:
+        parameters: All parameters.
+        used: Identifiers of those to write, as `definition` returns them; other texts in it are ignored.
+    """
     return "".join(
         f"static const double {p.identifier} = {p.value!r}; /* {p.comment} */\n"
         for p in parameters
@@ -54,12 +59,16 @@ def constants(parameters: Iterable[Parameter], used: Collection[str]) -> str:
 
 
 def helper_functions(language: C99) -> list[str]:
-    """Write the functions that formulas of a language use and math.h lacks."""
+    """Write the functions that the formulas written so far use and math.h lacks, one text each."""
     return [_HELPERS[name].format(p=language.prefix) for name in sorted(language.helpers & set(_HELPERS))]
 
 
 def declaration(formula: Formula, prefix: str) -> str:
-    """Declare a formula as a function, after a comment that explains its arguments."""
+    """Declare a formula as a function, after a comment that explains its arguments.
+
+    Args:
+        prefix: Prefix of the function's name, to which the name of the formula is appended.
+    """
     signals = dict.fromkeys((*formula.inputs, *formula.outputs))
     about = [formula.comment, "", *(f"{signal.name}: {signal.comment}" for signal in signals)]
     return f"{c_comment(about)}{_signature(formula, prefix)};\n"
@@ -68,7 +77,8 @@ def declaration(formula: Formula, prefix: str) -> str:
 def definition(formula: Formula, language: C99) -> tuple[str, frozenset[str]]:
     """Define a formula as a function.
 
-    Return its text and the texts of the parameters and inputs that it uses.
+    Returns:
+        Text of the function, and the texts of the parameters (identifiers) and inputs that it uses.
     """
     body = write_body(formula, language)
     unused = [s.name for s in formula.inputs if not body.used & set(s.elements()) and s not in formula.states]
@@ -77,7 +87,12 @@ def definition(formula: Formula, language: C99) -> tuple[str, frozenset[str]]:
 
 
 def function_text(signature: str, lines: Sequence[str]) -> str:
-    """Write a function with a signature and the lines of its body."""
+    """Write a function.
+
+    Args:
+        signature: Return type, name and arguments, such as "double f(double x)".
+        lines: Lines of its body, without indentation and line breaks.
+    """
     return signature + "\n{\n" + "".join(f"    {line}\n" for line in lines) + "}\n"
 
 

@@ -36,6 +36,8 @@ class Parameter:
     """A parameter of the machine in exported source text.
 
     Attributes:
+        identifier: Its name in the source text.
+        value: Its value, SI.
         comment: Full name and unit.
     """
 
@@ -49,6 +51,7 @@ class Signal:
     """An input or output of a formula.
 
     Attributes:
+        name: Name in the source text.
         size: Number of its entries; 0 for a number instead of an array.
         comment: Meaning and unit.
     """
@@ -69,6 +72,7 @@ class Formula:
     Attributes:
         name: Name, after the prefix of the export.
         comment: What it computes.
+        inputs: Arguments, in the order of the function.
         outputs: Results; a state is an input and an output of the same name.
         results: One expression for each entry of the outputs, in order.
     """
@@ -96,8 +100,13 @@ def trace_formula(
     """Trace a function of the equations of motion as a formula.
 
     Args:
+        name: Name of the formula, after the prefix of the export.
+        comment: What it computes.
+        inputs: Its arguments.
+        outputs: Its results.
         function: Function (values, *arguments) of the parameter values by full name and of one value (or list
             of values) per input, which returns all entries of the outputs.
+        parameters: Parameters of the machine by full name, see `parameters_of`.
     """
     trace = FormulaTrace(name)
     values = {full: trace.argument(p.identifier) for full, p in parameters.items()}

@@ -38,12 +38,18 @@ _MEMORY = {"z", "i", "drive", "load"}  # arguments of hooks that the motion alon
 class InverseDynamics:
     """Inverse dynamics of one machine.
 
+    The methods' argument `values` has the values of the machine's parameters by full name, SI: numbers,
+    arrays or traced expressions. None stands for the values of the machine.
+
     Attributes:
+        machine: Machine without the effects in `left_out`.
         axes: Names of the tool's axes.
         rigid: Belt travel of every coordinate per travel of each axis, m/m, shape (coordinates, axes).
         left_out: Labels of effects that the formulas do not contain: those with a memory, on belts and
             sensors, delays, and forces that grow with those of drives or belts.
         limits: Largest command of each drive, V, shape (drives,).
+        has_amplifiers: Whether each drive has effects on its voltage.
+        elastic: Whether belts alone connect motors and tool, so that `motor_reference` applies.
 
     Raises:
         InputError: If the machine has not one drive per axis, or the drives cannot push along every axis.
@@ -92,6 +98,7 @@ class InverseDynamics:
         """Compute the force that each coordinate needs along its belt travel.
 
         Args:
+            time: Time, s, for effects that change with it.
             position: Tool position, m, one value per axis.
             velocity: Tool velocity, m/s, one value per axis.
             acceleration: Tool acceleration, m/s^2, one value per axis.
@@ -131,7 +138,15 @@ class InverseDynamics:
         ]
 
     def amplifier(self, values: Values, j: int, command: Any) -> Any:
-        """Compute the voltage at the motor, V, for a command of drive j, V."""
+        """Compute the voltage at the motor of drive j for its command, with gain, offset and dead band.
+
+        Args:
+            j: Index of the drive.
+            command: Command, V: a number, an array or a traced expression.
+
+        Returns:
+            Voltage, V, of the same kind.
+        """
         commands = [command if k == j else 0.0 for k in range(len(self.machine.drives))]
         return Equations(self.machine, values).motor_voltages(commands)[j]
 
@@ -140,8 +155,11 @@ class InverseDynamics:
 
         Args:
             motor_voltages: Voltages, V, one value per drive.
-            invert: Function (drive, voltage) that inverts an amplifier, for drives that have effects on the
-                voltage.
+            invert: Function of a drive's index and the motor voltage, V, that returns the command, V. It is
+                called for drives with effects on their voltage; for others the command is the voltage.
+
+        Returns:
+            One command per drive, V.
         """
         return [
             invert(j, u) if has else u
@@ -149,9 +167,16 @@ class InverseDynamics:
         ]
 
     def command(self, j: int, voltage: float) -> float:
-        """Return the smallest command, V, of drive j that gives a motor `voltage`, V, found by bisection.
+        """Return the smallest command of a drive that gives a motor voltage, found by bisection.
 
         In the jump of a dead band, which no command reaches, it is the command for the next larger voltage.
+
+        Args:
+            j: Index of the drive.
+            voltage: Voltage at the motor, V.
+
+        Returns:
+            Command, V, at most `limits[j]` in magnitude, also if this gives less than the voltage.
         """
         low, high = 0.0, float(self.limits[j])
         at_rest = self.amplifier(None, j, 0.0)
@@ -171,7 +196,11 @@ class InverseDynamics:
 
         Args:
             position: Tool position, m, one value per axis.
-            forces: Force that each coordinate needs, N, one value per coordinate.
+            forces: Force that each coordinate needs, N, one value per coordinate: the total of
+                `coordinate_forces`.
+
+        Returns:
+            One position per drive, of the coordinate on which it acts.
         """
         without_effects = dataclasses.replace(self.machine, effects=())
         equations = Equations(without_effects, self.machine.with_tied(values or {}))

@@ -79,6 +79,7 @@ class Body:
     """Source text of a formula.
 
     Attributes:
+        lines: Lines of the assignments, without indentation.
         numbers: Names of new numbers.
         conditions: Names of new truth values.
         used: Texts of the inputs and parameters that occur.

@@ -81,8 +81,13 @@ class MotionFormulas:
     def vectors(self, formula: Formula, count: int, seed: int) -> Vectors:
         """Compute test vectors of a formula by the simulator's equations, or by the controller for `pid`.
 
-        The vectors of `pid`, shape (count, entries), are successive steps from an integral of zero, those of
-        other formulas a random motion.
+        The vectors of `pid` are successive steps from an integral of zero, those of other formulas belong to
+        random times, s, and motions within the limits of the machine.
+
+        Args:
+            formula: One of `formulas`, not an amplifier's.
+            count: Number of vectors.
+            seed: Seed of the random numbers; equal seeds give equal vectors.
         """
         rng = np.random.default_rng(seed)
         time, position, velocity, acceleration = self._random_motion(rng, count)

@@ -39,6 +39,13 @@ def proposed_headers(machine: Machine, missing: Sequence[str], unused: Sequence[
     Channels with the fewest candidates come first. A column whose quantity is exactly that of one channel is
     not proposed for another channel, which would need a conversion. If several channels compete for fewer
     columns, none of them gets a proposal.
+
+    Args:
+        missing: Names of the channels without a column, and "time_s" if the times have none.
+        unused: Columns of the log that no channel uses.
+
+    Returns:
+        Header, or "COLUMN", by channel in `missing`.
     """
     candidates = {channel: _candidates(machine, channel, unused) for channel in missing}
     alike = {

@@ -29,7 +29,11 @@ _JSON_START = re.compile(rb"(?:\xef\xbb\xbf)?\s*(?:\{\s*[\"}]|\[\s*(?:[\"\[{]|-?
 
 
 def refuse_foreign_file(path: Path, start: bytes) -> None:
-    """Raise an InputError for a file of a kind that is not read; the message says how to export the data."""
+    """Raise an InputError for a file of a kind that is not read; the message says how to export the data.
+
+    Args:
+        start: First bytes of the file (`start_of`).
+    """
     if path.suffix.lower() == ".zip" and start.startswith(b"PK"):
         raise InputError(f"{path}: is an archive; {_UNPACK}")
     for beginning, problem, advice in _BY_START:
@@ -38,5 +42,9 @@ def refuse_foreign_file(path: Path, start: bytes) -> None:
 
 
 def is_json(path: Path, start: bytes) -> bool:
-    """Return whether a file is JSON: its name ends in .json, or its first bytes begin an object or a list."""
+    """Return whether a file is JSON: its name ends in .json, or `start` begins an object or a list.
+
+    Args:
+        start: First bytes of the file (`start_of`).
+    """
     return path.suffix.lower() == ".json" or _JSON_START.match(start) is not None

@@ -66,6 +66,8 @@ class Log:
     """Log file whose columns are known and whose values are read on demand.
 
     Attributes:
+        path: The file.
+        columns: Columns in the order of the file, numbered from "#1" for the user.
         remarks: Remarks for the user on the file's format, where it differs from that of a recording.
         reader: Function that reads the values of columns by index in `columns`, followed by `times`, see
             `read`.
@@ -204,7 +206,9 @@ def vector_log(path: Path, vectors: Sequence[tuple[str, NDArray[np.float64]]], k
     """Build a log from vectors in memory, such as those of an archive of arrays.
 
     Args:
+        path: File that held the vectors.
         vectors: Names and values, shape (rows,) each, of possibly different lengths.
+        kind: What the file is, with its article, for the log's remark, such as "an archive of NumPy".
     """
     names = [name for name, _ in vectors]
     named = log_columns(names, [""] * len(names), ["number"] * len(names))

@@ -46,6 +46,7 @@ class MachineReader:
     """Convert the content of one file to a machine; every error and warning names the file and the field.
 
     Attributes:
+        path: The file, for messages.
         content: Its content, which has the right fields and types.
     """
 

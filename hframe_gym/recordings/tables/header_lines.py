@@ -44,9 +44,19 @@ def detect_header(
 ) -> tuple[list[str], list[str], list[str]]:
     """Find the names and units of columns above the data of a table, and deviations from a plain header.
 
-    Names are "#1", ... without a header. Names and units are in the last two lines above the data, in either
-    order; if the last line that is no comment does not fit, they are in comments. `widths` are the possible
-    numbers of cells in a row, and thus of names.
+    Names and units are in the last two lines above the data, in either order; if the last line that is no
+    comment does not fit, they are in comments.
+
+    Args:
+        lines: First lines of the file.
+        cells: Cells of each of these lines; none for a comment.
+        first: Index of the first line of data.
+        widths: Possible numbers of cells in a row, and thus of names, the usual one first.
+        separator: Character between cells; a blank means one or more blanks.
+
+    Returns:
+        Names, "#1", "#2", ... without a header; units in the order of the names, "" where there is none; and
+        how the file deviates from a plain header in its first line, in words.
     """
     deviations = ["its first line is sep="] if lines[0].lower().startswith("sep=") else []
     above = []

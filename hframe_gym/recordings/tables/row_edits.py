@@ -43,8 +43,13 @@ _ENCLOSED = re.compile(r"(?P<letter>[A-Za-z])[-+.\d][-+.\d\t]*\d(?P=letter)[ \t]
 def find_edits(lines: Sequence[str]) -> tuple[list[tuple[re.Pattern[str], str]], list[str], list[str]]:
     """Find the parts of lines to remove before they are split into cells, such as brackets and arrows.
 
-    Return patterns with their replacements, names of columns that stand before the numbers, and deviations
-    from a recording, in words.
+    Args:
+        lines: First lines of the file, data and what stands above.
+
+    Returns:
+        Patterns with their replacements, to be applied to complete lines in this order; names of the columns
+        where they stand before the numbers in each row, else none; and how the file deviates from a
+        recording, in words.
     """
     rows = [line.rstrip(" ") for line in lines if not is_comment(line) and any(map(str.isdigit, line))]
     edits: list[tuple[re.Pattern[str], str]] = []

@@ -217,6 +217,9 @@ def read_parquet_column(path: Path, file: Any, name: str, max_rows: int | None =
     """Read one column, a `pyarrow.ChunkedArray`, of a file that `open_parquet` has opened.
 
     Args:
+        path: The file, for messages.
+        file: The opened file.
+        name: Name of the column, which the file must have.
         max_rows: Number of rows after which reading stops. Default: all rows are read.
 
     Raises:

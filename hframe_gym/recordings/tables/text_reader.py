@@ -49,7 +49,12 @@ _TIME_ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)$")
 
 
 def cumulative(progress: Callable[[int, int], None] | None, total: int) -> Progress:
-    """Return a function that adds up increments of work and reports sum and `total` to `progress`, if any."""
+    """Return a function to call with each further amount of work, which reports the sum of all.
+
+    Args:
+        progress: Called with the sum and `total`; None to report nothing.
+        total: All the work, in the unit of the amounts, such as bytes.
+    """
     done = 0
 
     def add(increment: int) -> None:
@@ -74,13 +79,15 @@ def read_columns(
     """Read columns of numbers and time stamps from a text file.
 
     Args:
+        layout: Format of the file, as `detect_format` returns it.
+        columns: Indices of the columns, from 0.
         lenient: Whether to leave out comment lines, rows without any value, lines of text below the data and
             some among the rows, and the last row if it is incomplete, and to read a few damaged rows as
             empty, which have another number of cells than others. Otherwise, these are errors, and a row
             without values is read as NaN.
         progress: Called with the number of bytes read since the last call.
         max_rows: Number of rows after which reading stops. Default: all rows are read.
-        texts: Those of the columns whose cells are texts.
+        texts: Those of the indices in `columns` whose cells are read as texts.
 
     Returns:
         values: One array per column, in the unit of the file, shape (rows,): float64, NaN where a cell is

@@ -22,6 +22,7 @@ def write_machine_template(like: str, machine: Machine, path: Path) -> None:
     """Write a new machine to a machine.json with comments that explain its fields.
 
     Args:
+        like: Name of the machine's template, a key of `TEMPLATES`, which determines the comments.
         path: File to write; a missing folder is created, an existing file is replaced.
 
     Raises:

@@ -39,7 +39,11 @@ _AT_REST: dict[str, Callable[[Drive], float]] = {
 
 
 def with_motor_values(machine: Machine, drive: Drive, options: MachineOptions) -> Drive:
-    """Return a copy of a drive with the motor values that the options state."""
+    """Return a copy of a drive with the motor values that the options state; None keeps those of the drive.
+
+    These are Kt (and with it Ke), resistance, rated voltage and gear ratio. For a drive of a linear
+    coordinate, a pulley radius or travel per turn in the options gives the gear ratio, rad/m.
+    """
     new: dict[str, float] = {}
     if options.Kt is not None:
         new |= {"Kt": options.Kt, "Ke": options.Kt}
@@ -69,10 +73,17 @@ def shaft_inertias(machine: Machine) -> Array:
 
 
 def with_command(machine: Machine, drive: Drive, kind: str | None, inertia: float) -> Drive:
-    """Return a drive of another kind (such as current or position) with the same motor.
+    """Return a drive of another kind with the same motor.
 
-    Its channel, and its largest command or torque, follow from the motor. `inertia`, kg m^2, is what the
-    motor shaft moves.
+    Its channel, and its largest command or torque, follow from the motor.
+
+    Args:
+        kind: What is commanded, a key of `COMMANDS` such as "current" or "position". The drive itself is
+            returned if this is its kind, or for None.
+        inertia: What the motor shaft moves, kg m^2, from which the gains of a loop follow.
+
+    Raises:
+        InputError: If there is no such kind, or the motor of the template cannot have it.
     """
     if kind is None or kind == drive.kind:
         return drive

@@ -24,6 +24,7 @@ class TemplateQuestion:
 
     Attributes:
         option: Its name in `MachineOptions`.
+        text: The question, with its unit, without a question mark.
         default: Value of the template, SI; for `travel` and `mass` a text with one value per axis, separated
             by commas.
         choices: The answers that are accepted, and what each means; empty if the answer is a value.
@@ -98,7 +99,16 @@ def template_questions(like: str) -> tuple[TemplateQuestion, ...]:
 
 
 def check_options(like: str, machine: Machine, options: MachineOptions) -> None:
-    """Check that options are positive and fit the template."""
+    """Check that options are positive and fit the template.
+
+    Args:
+        like: Name of the template.
+        machine: The built-in machine of this name.
+
+    Raises:
+        InputError: If an option does not apply to the template, has a wrong number of values, or has a value
+            that is negative, zero where this is meaningless, not finite, or probably in mm.
+    """
     _check_that_options_apply(like, options)
     axes = len(machine.tool_axes)
     for name in ("travel", "mass"):

@@ -17,7 +17,15 @@ QUADRATURE = 4  # edges per line of an encoder
 def sensors_of(
     machine: Machine, gear_ratios: Mapping[str, float], options: MachineOptions
 ) -> tuple[Sensor, ...]:
-    """Return the sensors of a new machine: encoders on the motor shafts, then those of the carriages."""
+    """Return the sensors of a new machine: encoders on the motor shafts, then those of the carriages.
+
+    Args:
+        machine: The new machine with its drives, still with the template's sensors.
+        gear_ratios: Gear ratio of the template's drive, rad of the motor per rad or m, by coordinate; where
+            the new one differs, the resolution of a kept encoder changes in inverse proportion.
+        options: Its `encoder_lines` (None: the template's encoders; 0: none) and `linear_sensor` (False: no
+            sensors of carriages) decide.
+    """
     carriages = [s for s in machine.sensors if s.kind != "encoder"] if options.linear_sensor else []
     if options.encoder_lines is None:
         ratio = {d.coordinate: gear_ratios[d.coordinate] / d.gear_ratio for d in machine.drives}
@@ -50,7 +58,11 @@ def _parts(machine: Machine, kind: str) -> tuple[str, tuple[str, ...]]:
 
 
 def further_sensors(machine: Machine) -> dict[str, str]:
-    """Return the additional sensors that a machine may have, as KIND@PART, with what each measures."""
+    """Return the sensors that a machine may have in addition to its own.
+
+    Returns:
+        What each measures and its unit, such as "speed of x, m/s", by its text KIND@PART, such as "speed@x".
+    """
     load_plugins()  # may register kinds
     present = [(sensor.kind, sensor.row) for sensor in machine.sensors]
     choices = {}
@@ -63,7 +75,16 @@ def further_sensors(machine: Machine) -> dict[str, str]:
 
 
 def further_sensor(machine: Machine, text: str) -> Sensor:
-    """Create the sensor that a text KIND@PART describes; its channel is named by the part and its unit."""
+    """Create the sensor that a text KIND@PART describes, without noise and resolution.
+
+    Args:
+        machine: Machine to which it will be added; it is not changed.
+        text: Kind of sensor and part of the machine, such as "speed@x" or "current@motor1". The channel is
+            named by the part and the unit, and by the kind if another channel has this name.
+
+    Raises:
+        InputError: If the text, the kind or the part is wrong, or the machine has this sensor.
+    """
     kind, separator, part = text.partition("@")
     if not separator:
         raise InputError(f"--sensor {text}: write KIND@PART, for example speed@{machine.tool_axes[0]}")

@@ -13,6 +13,7 @@ class Template:
     """What a template adds to the built-in machine of the same name.
 
     Attributes:
+        title: What the template is, for lists of templates.
         comment: How the coordinates are counted, for the file.
         coordinates: Comments by name of the coordinate; without one, it is the pulley of a motor.
         lengths: m of rest length of each belt section per m of travel along x and y: the frame grows with the
@@ -172,7 +173,7 @@ _OTHER_SENSOR_COMMENT = (
 
 
 def sensor_comment(kind: str) -> str:
-    """Return the comment on a sensor of a kind."""
+    """Return the comment that explains a sensor of a registered kind in a new machine.json."""
     if kind in _SENSOR_COMMENTS:
         return _SENSOR_COMMENTS[kind]
     return f"{summary(SENSOR_KINDS.get(kind)).rstrip('.')}. {_OTHER_SENSOR_COMMENT}"

@@ -63,12 +63,22 @@ class LogFormat(ABC):
         return []
 
     def is_log(self, path: Path) -> bool:
-        """Return whether a file with a matching ending is a log, and not a document such as readme.txt."""
+        """Return whether a file with a matching ending is a log, and not a document such as readme.txt.
+
+        By default, every such file is a log.
+        """
         return True
 
 
 def require_extra(path: Path, what: str, extra: str, modules: Sequence[str], advice: str) -> None:
-    """Raise an InputError with advice if a module that files of a kind (`what`) need is missing."""
+    """Raise an InputError with advice if a module that a file needs is missing.
+
+    Args:
+        what: Kind of the file, for the message, such as "Parquet files".
+        extra: Extra of this package that installs the modules.
+        modules: Names of the modules.
+        advice: What the user can do instead of installing them, as the end of the message.
+    """
     if any(importlib.util.find_spec(module) is None for module in modules):
         raise InputError(f"{path}: reading {what} needs pip install 'hframe_gym[{extra}]'; or {advice}")
 

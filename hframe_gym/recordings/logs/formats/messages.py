@@ -62,6 +62,9 @@ class UnreadableError(Exception):
 def log_of_messages(path: Path, source: MessageSource, remarks: tuple[str, ...]) -> Log:
     """Open the numbers in the messages of a file as a log.
 
+    Args:
+        remarks: Sentences for the user about the file; one about the topics that are left out is added.
+
     Returns:
         Log whose columns have the shape (rows,); the time of a row is that in the header of its message, if
         it has one of the same clock, else that of the recorder.
@@ -90,9 +93,14 @@ def log_of_messages(path: Path, source: MessageSource, remarks: tuple[str, ...])
 
 
 def numbers_of(message: Any, name: str) -> dict[str, float]:
-    """Find all numbers in a message by name, which begins with `name`.
+    """Find all numbers in a message; its header, texts and long lists are left out.
 
-    Its header, texts and long lists are left out.
+    Args:
+        message: Message as `MessageSource.messages` yields it.
+        name: Name of the message, usually its topic, with which the names of its numbers begin.
+
+    Returns:
+        Numbers, in the units of the message, by name, such as "/joint_states/elbow/position".
     """
     found: dict[str, float] = {}
     members = _members(message)

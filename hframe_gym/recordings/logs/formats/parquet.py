@@ -79,6 +79,7 @@ class ParquetTable:
         """Read columns: numbers or instants (datetime64[ns]), shape (rows,) each.
 
         Args:
+            indices: Indices of the columns in the attribute `columns`.
             progress: Called with the number of bytes read since the last call.
 
         Raises:

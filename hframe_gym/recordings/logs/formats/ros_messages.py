@@ -55,14 +55,25 @@ class RosDecoder:
             raise UnreadableError(f"faulty definition: {one_line(error)}") from None
 
     def add_known_types(self) -> None:
-        """Register the usual types of ROS 2, for bags of older versions, which contain no definitions."""
+        """Register the usual types of ROS 2, for bags of older versions, which contain no definitions.
+
+        They replace all definitions that were registered before.
+        """
         from rosbags.typesys import Stores, get_typestore
 
         self._store = get_typestore(Stores.ROS2_HUMBLE)
         self._store.max_sequence_length = _LONGEST_LIST
 
     def decoder(self, name: str, *, ros1: bool) -> Callable[[bytes], Any]:
-        """Return the function that decodes messages of a type; UnreadableError if the type is unknown."""
+        """Return the function that decodes the bytes of a message of a type.
+
+        Args:
+            name: Name of the type as ROS 2 writes it, see `ros2_name`.
+            ros1: Whether the messages are serialized as in ROS 1, not as in ROS 2 (CDR).
+
+        Raises:
+            UnreadableError: If neither `add_definition` nor `add_known_types` has registered the type.
+        """
         if name not in self._store.fielddefs:
             raise UnreadableError("its definition is not in the file")
         decode = self._store.deserialize_ros1 if ros1 else self._store.deserialize_cdr

@@ -30,7 +30,11 @@ class TimedTable:
     """Columns of a log that share their times, such as the fields of a topic.
 
     Attributes:
-        reader: Function that reads the times, and the values of columns by index.
+        name: Name of the table, such as the topic, for messages.
+        columns: Columns without that of the times.
+        reader: Function (indices, progress) that reads the times and the values of the columns with these
+            indices in `columns`, shape (rows,) each, and sentences for the user about what was left out.
+            `progress`, if any, is called with the number of bytes read since the last call.
         time_kind: "number" for times in s, or "stamp" for instants.
     """
 
@@ -41,7 +45,11 @@ class TimedTable:
 
 
 def signal_columns(names: Sequence[str]) -> tuple[LogColumn, ...]:
-    """Build columns for signals named by paths, with a unit at the end: "/arm/angle_deg"."""
+    """Build columns of numbers for signals named by paths; a unit at the end of a name is recognized.
+
+    Args:
+        names: Names such as "/arm/angle_deg" or "/arm/angle [deg]"; both columns have the unit "deg".
+    """
     columns = []
     for name in names:
         stated = _UNIT.search(name)  # a unit in brackets may have a slash as well
@@ -54,7 +62,14 @@ def signal_columns(names: Sequence[str]) -> tuple[LogColumn, ...]:
 
 
 def table_in_memory(names: Sequence[str], name: str, time_s: Array, values: Sequence[Array]) -> TimedTable:
-    """Return a table of columns `names`, with times `time_s`, s, and `values`, shape (rows,) each."""
+    """Return a table whose values are in memory.
+
+    Args:
+        names: Name of each column, possibly with its unit (`signal_columns`).
+        name: Name of the table.
+        time_s: Times, s, shape (rows,).
+        values: Values of each column, in its unit, shape (rows,) each.
+    """
 
     def read(indices: Sequence[int], progress: Progress | None) -> Rows:
         return time_s, [values[index] for index in indices], []
@@ -69,6 +84,7 @@ def log_of_tables(path: Path, tables: Sequence[TimedTable], remarks: tuple[str, 
     kept.
 
     Args:
+        remarks: Sentences for the user about the file.
         part: Name of the part of the file; "" if it is one log.
     """
     times = [LogColumn(f"time of {table.name}", "time", "s", table.time_kind) for table in tables]

@@ -93,6 +93,7 @@ def open_text_table(
     """Open a table in text.
 
     Args:
+        remarks: Sentences for the user about the file; those about its deviations from a recording follow.
         unit_of: Function from the name of a column to its unit, for columns whose unit the file does not
             state.
 
