@@ -14,7 +14,11 @@ _LEFT, _RIGHT = 62, 14
 
 
 def ink(role: str, dark: bool) -> str:
-    """Return the color, "#rrggbb", of a plot element (`web_page.COLORS`), on light or dark displays."""
+    """Return the color, "#rrggbb", of a plot element on light or dark displays.
+
+    Args:
+        role: Element, a key of `web_page.COLORS` such as "ink" or "line".
+    """
     return COLORS[role][dark]
 
 
@@ -26,7 +30,14 @@ def height_of(count: int) -> int:
 def curves_chart(
     curves: Sequence[Curve], *, dark: bool, x_name: str = "time, s", intervals: Sequence[Interval] = ()
 ) -> dict[str, Any]:
-    """Return options of ECharts for one or more curves, one below another, with marked intervals."""
+    """Return options of ECharts for curves, one below another, over a common axis of time.
+
+    Args:
+        curves: One or more curves.
+        dark: Whether the display is dark.
+        x_name: Name of the common axis, below the last curve.
+        intervals: Time intervals to mark; their `log` is ignored.
+    """
     first, last = min(float(c.time[0]) for c in curves), max(float(c.time[-1]) for c in curves)
     options = _frame(dark)
     for k, curve in enumerate(curves):
@@ -137,7 +148,7 @@ def _frame(dark: bool) -> dict[str, Any]:
 
 
 def with_zoom(options: dict[str, Any], dark: bool) -> dict[str, Any]:
-    """Add a time slider, and zooming by Ctrl and wheel, to a chart's options, and return them."""
+    """Add a time slider, and zooming by Ctrl and wheel, to chart options, which are changed and returned."""
     options["dataZoom"] = [
         {"type": "inside", "xAxisIndex": "all", "zoomOnMouseWheel": "ctrl", "filterMode": "none"},
         {
@@ -157,7 +168,7 @@ def with_zoom(options: dict[str, Any], dark: bool) -> dict[str, Any]:
 
 
 def with_selection(options: dict[str, Any], dark: bool) -> dict[str, Any]:
-    """Let the mouse select a time interval in a chart of curves; return the chart's options."""
+    """Let the mouse select a time interval in a chart of curves; its options are changed and returned."""
     options["toolbox"] = {"show": False}
     options["brush"] = {
         "xAxisIndex": "all",

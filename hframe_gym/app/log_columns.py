@@ -40,10 +40,12 @@ class Curve:
     """Values over time of a column or channel.
 
     Attributes:
+        name: Header of the column, or name of the channel.
         note: How an import would use the column, in words.
         time: Times, s, or row numbers, shape (n,).
         values: Values, in the unit that the note or name states, shape (n,); NaN where there is none.
         held: Whether each value holds until the next one, as for an input.
+        used: Whether an import would use the column.
         others: Further curves over the same times, by name, shape (n,), such as simulated measurements.
     """
 
@@ -85,6 +87,7 @@ class LogView:
     """A log as the user sees it: its curves, and how an import would use its columns.
 
     Attributes:
+        log: The log.
         curves: Curve of each column of numbers except the time.
         sources: Sources of the channels; empty if the import would be refused.
         problem: Why the import would be refused; "" if it would not.

@@ -106,7 +106,7 @@ class Session:
         return self.path(LOGS, base)
 
     def remove_log(self, path: Path) -> None:
-        """Delete a log of the session."""
+        """Delete a log of the session; do nothing for a path outside its folder of logs."""
         if path.parent == self.path(LOGS):
             path.unlink(missing_ok=True)
 
@@ -144,13 +144,26 @@ class Session:
         return [["mkdir", f"earlier_{number}", *existing]] if existing else []
 
     def set_aside(self, folder: str, *names: str) -> None:
-        """Move files and folders of the session to a new folder within it."""
+        """Move files and folders of the session, which must exist, to a new folder within it.
+
+        Args:
+            folder: Name of the new folder.
+            *names: What is moved there.
+
+        Raises:
+            FileExistsError: If the folder exists.
+        """
         self.path(folder).mkdir()
         for name in names:
             self.path(name).replace(self.path(folder, name))
 
     def record(self, words: Sequence[str], exit_code: int) -> None:
-        """Append a command to the session's script; a command that failed becomes a comment."""
+        """Append a command to the session's script; a command that failed becomes a comment.
+
+        Args:
+            words: Words after "hframe", see `command_text`.
+            exit_code: Exit code with which the command ended; 0 for success.
+        """
         script = self.path(SCRIPT)
         text = script.read_text(encoding="utf-8") if script.exists() else _SCRIPT_HEAD
         line = command_text(words) if exit_code == 0 else f"# exit code {exit_code}: {command_text(words)}"
@@ -217,6 +230,7 @@ def identify_command(hold_out: Sequence[str], budget: str, force: bool) -> list[
     Args:
         hold_out: Names of held-out runs; empty for the default.
         budget: Processor time, s, as text; empty for the default.
+        force: Whether to fit although the runs have faults.
     """
     words = ["identify", RUNS, "--machine", MACHINE]
     for name in hold_out:

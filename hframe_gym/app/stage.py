@@ -18,7 +18,11 @@ State = Literal["", "done", "running", "problem"]
 
 
 class Jobs(Protocol):
-    """The part of the window that a stage needs: the jobs of all tabs."""
+    """The part of the window that a stage needs: the jobs of all tabs.
+
+    Attributes:
+        jobs: Last job of each stage by the stage's key.
+    """
 
     jobs: dict[str, Job]
 
@@ -52,6 +56,11 @@ class Stage(ABC):
     """One step of the work, such as "Check", in one browser tab.
 
     Attributes:
+        key: Key by which the page finds the stage.
+        title: Title on its tab.
+        purpose: What it is for, in sentences, shown below the title.
+        action: Text of the button that runs its commands; "" without a button.
+        expected_codes: Exit codes of its commands after which the output need not be read.
         container: Element that holds the stage.
     """
 
@@ -166,6 +175,7 @@ class Stage(ABC):
 
         Args:
             field: Element with a value.
+            attribute: Name of the attribute.
             read: Function from the element's value, which may be None, to that of the attribute.
         """
         field.bind_value_to(self, attribute, read).on_value_change(self.update_command)
@@ -176,7 +186,7 @@ class Stage(ABC):
         ui.notify("Copied", timeout=1000)
 
     def run(self) -> None:
-        """Run the commands of this step of the work."""
+        """Run the commands of this step of the work, unless those of a stage are running."""
         if self.page.window.running is not None:
             ui.notify("Another command is running; wait for it, or stop it", type="warning")
             return

@@ -95,8 +95,8 @@ def read_motions(path: Path, machine: Machine) -> list[dict[str, Any]]:
     """Read a controller's motions of `hframe evaluate --motions`, in as many frames as a display shows.
 
     Returns:
-        For each episode: period of the frames, s; lists of the points (x, y), m, at which tool and goal are
-        drawn, of the distances between them, mm or mrad (`unit`), and of the voltages, V.
+        For each episode: `frame_s`, period of the frames, s; by frame, the points (x, y), m, at which `tool`
+        and `goal` are drawn, their `distance`, in the `unit` "mm" or "mrad", and the voltages, V (`volts`).
     """
     axes, inputs, unit = machine.tool_axes, machine.input_channels, machine.axis_unit
     episodes: dict[str, list[dict[str, str]]] = {}

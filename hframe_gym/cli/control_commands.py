@@ -388,8 +388,14 @@ def option_words(**values: str | None) -> str:
 def training_proposal(machine: str, task: str, randomize: str, period: float) -> str:
     """Write a line that proposes a command to train an agent with the settings of an evaluation.
 
-    It names the control period if the recipe has another one than `period`, s. It is empty if the package has
-    no recipe "ppo" for the task.
+    Args:
+        machine: Name or file of the machine, as the user stated it.
+        task: Name of the task, as the user stated it.
+        randomize: Randomization of the evaluation; named if the recipe has another one.
+        period: Control period of the evaluation, s. If the recipe has another one, the line names that.
+
+    Returns:
+        The line; "" if the package has no recipe "ppo" for the task.
     """
     from ..agents import load_recipe
 

@@ -78,8 +78,14 @@ def check_recordings_before_fit(
 def proposed_formulas(result: IdentificationResult, log: LineLog) -> tuple[TableComparison, ...]:
     """Propose formulas for the forces that an identification could only describe by tables of values.
 
-    Such a table stands for a force that no known effect explains. Without scikit-learn, nothing is proposed,
-    and the log gets the reason.
+    Such a table stands for a force that no known effect explains.
+
+    Args:
+        result: Result of the identification.
+        log: Called with lines of text: the progress, or why nothing is proposed.
+
+    Returns:
+        Proposed formulas of each table; none without tables, or without scikit-learn.
     """
     from ..identification.report.formulas import compare_formulas
 

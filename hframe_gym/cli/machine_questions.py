@@ -36,6 +36,7 @@ class MachineAnswers:
     Attributes:
         like: Name of the template.
         out: File to write.
+        name: Name of the machine; empty for that of the file.
         given: Values by name in `MachineOptions`: for `travel` and `mass` one number per axis, separated by
             commas, for `values` texts "PARAMETER=VALUE", SI, for `sensor` texts "KIND@PART".
     """
@@ -91,7 +92,12 @@ def create_machine_file(answers: MachineAnswers, force: bool, log: LineLog) -> N
 
 
 def file_obstacle(path: Path, force: bool) -> str:
-    """Return why a file cannot be written and what to do about it, or "" if it can."""
+    """Return why a machine cannot be written to a file, or "" if it can.
+
+    Args:
+        path: The file; it must end in .json.
+        force: Whether an existing file may be replaced.
+    """
     if path.suffix != ".json":
         return "must end in .json"
     return "exists already; choose another name" if path.exists() and not force else ""
@@ -116,7 +122,13 @@ def ask(answers: MachineAnswers, log: LineLog, force: bool = False) -> MachineAn
     """Ask on the terminal for each missing option of `hframe machines new`, including the file.
 
     Args:
+        answers: Options that are given; they are not asked for.
+        log: Called with a line of text for each hint and each answer that is refused; the question is then
+            repeated.
         force: Whether the name of an existing file is accepted.
+
+    Returns:
+        The answers with all options of the template.
 
     Raises:
         InputError: If a given value cannot be used, for example an unknown template.

@@ -81,7 +81,11 @@ def print_warning(
 
 @contextmanager
 def collect_warnings() -> Iterator[list[str]]:
-    """Collect the texts of all UserWarnings in the `with` block, for a report; they are still printed."""
+    """Collect the texts of all UserWarnings in the `with` block, for a report; they are still printed.
+
+    Yields:
+        List to which each warning adds its text.
+    """
     texts: list[str] = []
     show = warnings.showwarning
 

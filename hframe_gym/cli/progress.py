@@ -100,7 +100,11 @@ def search_progress(log: LineLog) -> Iterator[Callable[[str, float, float], None
 def finishing_on_interrupt(budget: Budget) -> Iterator[None]:
     """Let the first Ctrl-C in the `with` block finish a search with its result so far.
 
-    A second one ends the command.
+    A second one ends the command, and so does the first while no search is running. The block changes nothing
+    outside the main thread.
+
+    Args:
+        budget: Budget of the search, which is stopped.
     """
     previous = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or not callable(previous):

@@ -51,6 +51,9 @@ class Finding:
 def channel_unit(channel: str, machine: Machine) -> str:
     """Return the unit in which messages state the values of a channel.
 
+    Args:
+        channel: Name of an input or output of the machine.
+
     Returns:
         The unit of the drive's command or of the sensor. Where the kind does not determine it, the end of the
         channel's name does: "A" or "Nm" for a drive of the kind "voltage", "m" or "rad" for a sensor of
@@ -128,9 +131,13 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
 
 
 def refuse_faults(findings: Sequence[Finding], folder: Path) -> None:
-    """Raise an InputError if there is a fault.
+    """Raise an error if a finding is a fault.
 
-    The message lists each with file and channel, and names --force.
+    Args:
+        folder: Folder of the recordings, for the message.
+
+    Raises:
+        InputError: If there is a fault. The message lists all, with file and channel, and names --force.
     """
     faults = [finding for finding in findings if finding.severity == "fault"]
     if not faults:
@@ -145,6 +152,10 @@ def refuse_faults(findings: Sequence[Finding], folder: Path) -> None:
 
 
 def write_findings(findings: Sequence[Finding], path: Path) -> None:
-    """Write findings as JSON: `{"schema": 1, "findings": [{"severity", "run", "channel", "message"}]}`."""
+    """Write findings as JSON: `{"schema": 1, "findings": [{"severity", "run", "channel", "message"}]}`.
+
+    Args:
+        path: File to write; its folder is created if it does not exist, an existing file is replaced.
+    """
     content = {"schema": _SCHEMA_VERSION, "findings": [asdict(f) for f in findings]}
     write_text(path, json.dumps(content, indent=1) + "\n")

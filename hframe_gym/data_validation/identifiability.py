@@ -40,6 +40,7 @@ class CramerRaoBound:
         relative_std: Smallest possible standard deviation divided by the absolute value of the parameter;
             infinite if the parameter has no influence on the measurements.
         partner: Name of the parameter with the largest absolute correlation, "" if there is no other.
+        correlation: Correlation of both estimates, dimensionless, -1 to 1; 0 without a partner.
     """
 
     name: str
@@ -127,10 +128,15 @@ def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
 
 
 def findings_of_bounds(bounds: Sequence[CramerRaoBound]) -> list[Finding]:
-    """Report the bound of each parameter; parameters without influence, or undetermined, get one finding.
+    """Report the bounds of parameters.
 
     Args:
         bounds: Bounds of parameters that are estimated jointly.
+
+    Returns:
+        One finding of severity "advice" for all parameters without influence on the measurements, one for all
+        that the runs do not determine, and one for each other parameter: "advice" if its relative standard
+        deviation exceeds 10 %, otherwise "note".
     """
     findings = []
     without_influence = [b.name for b in bounds if not np.isfinite(b.relative_std)]

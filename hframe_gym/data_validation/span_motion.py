@@ -39,14 +39,22 @@ class SpanMotion:
     run: NDArray[np.int_]
 
     def speed_ratio(self, sensor: int) -> float:
-        """Return the ratio of measured to simulated speed of a sensor (root mean squares).
+        """Return the ratio of measured to simulated speed of a sensor, dimensionless.
 
-        0 without motion.
+        It is the ratio of the standard deviations of the changes over the spans; 0 if there are too few, or
+        if the simulated changes are all equal, as without motion.
+
+        Args:
+            sensor: Index of the sensor.
         """
         return self._ratio(np.isfinite(self.measured[:, sensor]), sensor)
 
     def speed_ratios_by_run(self, sensor: int) -> list[float]:
-        """Return `speed_ratio` of a sensor for each run in which the simulated machine moves."""
+        """Return `speed_ratio` of a sensor for each run in which it is not 0.
+
+        Args:
+            sensor: Index of the sensor.
+        """
         finite = np.isfinite(self.measured[:, sensor])
         ratios = (self._ratio(finite & (self.run == run), sensor) for run in np.unique(self.run))
         return [ratio for ratio in ratios if ratio]

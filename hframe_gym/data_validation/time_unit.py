@@ -23,6 +23,14 @@ def check_time_unit(data: Dataset, balance: Balance | None) -> list[Finding]:
 
     With times too large by f, the motion requires f^2 times the inertia and f times the viscous friction. A
     wrong unit of a position or a wrong gain changes both by the same factor.
+
+    Args:
+        data: Runs prepared for a fit.
+        balance: Balance of forces for the declared wiring, see `declared_balance`; None if there is none.
+
+    Returns:
+        One finding of severity "advice", which names the factor; none without a balance, or if it does not
+        explain the motion.
     """
     if balance is None or balance.unexplained > EXPLAINED:
         return []

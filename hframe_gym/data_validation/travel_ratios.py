@@ -23,6 +23,11 @@ def check_travel_ratios(motion: SpanMotion, data: Dataset, machine: Machine) -> 
     The reference are sensors with a fixed zero, elsewhere encoders compared with each other. Complete runs
     are compared, because fast motion also stretches the belts. A small deviation is advice: a scale error of
     the other sensors, which identification can find, has the same appearance.
+
+    Args:
+        motion: Measured and simulated motion of the runs, see `span_motion`.
+        data: Runs prepared for a fit.
+        machine: Machine as declared.
     """
     kinds = [machine.coordinate(s.coordinate).kind for s in machine.sensors]
     compared = [j for j, s in enumerate(machine.sensors) if s.incremental or kinds[j] == "rotary"]

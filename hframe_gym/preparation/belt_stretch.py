@@ -127,7 +127,8 @@ def stretch_angles(machine: Machine, *, moving: bool) -> dict[str, float]:
             for one that begins in motion: 25 % of the drive's torque at rated voltage is added.
 
     Returns:
-        Angle, rad, at least 1e-6, by name of each pulley with a sensor; without `Machine.spring_loaded`.
+        Angle, rad, at least 1e-6, by name of each pulley with a sensor; those in `Machine.spring_loaded` are
+        left out.
     """
     torques = {c.name: _HELD_FRICTION * c.coulomb for c in machine.coordinates}
     for drive in machine.drives if moving else ():
@@ -148,8 +149,8 @@ def vibration_speeds(machine: Machine) -> dict[str, float]:
 
     Returns:
         Speed, rad/s, by name of each pulley with a sensor: the angle `stretch_angles(machine, moving=True)`,
-        rad, times the natural angular frequency of the pulley on its belts, 1/s. Without
-        `Machine.spring_loaded`.
+        rad, times the natural angular frequency of the pulley on its belts, 1/s. Those in
+        `Machine.spring_loaded` are left out.
     """
     angles = stretch_angles(machine, moving=True)
     return {

@@ -72,7 +72,8 @@ def noise_by_row(time_s: Times, outputs: Measurements, noise: Array, jitter: flo
 
     Returns:
         sqrt(noise^2 + (jitter * speed)^2), in the sensors' units, shape (n, sensors). The speed of a sensor
-        is the slope of a parabola over 11 of its measurements.
+        is the slope of a parabola over 11 of its measurements. Only the noise where a sensor did not measure,
+        or has fewer than 11 measurements.
     """
     by_row = np.tile(noise, (len(time_s), 1))
     for j, values in enumerate(outputs.T):
@@ -88,7 +89,8 @@ def smooth_speed(time_s: Times, values: Array) -> Array:
     """Return the speed of a channel, m/s or rad/s, shape (n,): the slope of a parabola over 11 samples.
 
     Args:
-        values: Measurements, m or rad, shape (n,).
+        time_s: Times of at least 11 samples; equal steps are assumed.
+        values: Measurements without gaps (NaN), m or rad, shape (n,).
     """
     period = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
     return np.asarray(savgol_filter(values, _SPEED_ROWS, 2, deriv=1, delta=period))

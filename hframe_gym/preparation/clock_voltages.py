@@ -57,7 +57,11 @@ class ClockVoltages(NamedTuple):
     answers: Array
 
     def rows(self, chosen: slice) -> ClockVoltages:
-        """Return the changes for some of the rows."""
+        """Return the changes for some of the rows.
+
+        Args:
+            chosen: Slice of the rows of the run.
+        """
         return ClockVoltages(self.impulses[chosen], self.answers[chosen])
 
 
@@ -110,7 +114,7 @@ def updated_inputs_of_clock(
         inputs: Inputs in the rows, V, shape (..., n, drives).
         clock: Changes of the inputs by the jitter; None without jitter.
         updates: Changes of the inputs from one row to the next.
-        interpolation: Kind of interpolation.
+        interpolation: "akima" (piecewise cubic), "straight" (lines) or "spline" (cubic).
 
     Returns:
         Inputs at `update_times`, V, shape (..., (n - 1) * `updates` + 1, drives).

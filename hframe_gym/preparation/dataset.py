@@ -101,7 +101,7 @@ class PreparedRecording:
             fit.
         updates: How many times the voltages change from one row to the next: more than once if the controller
             is faster than the log. They are then interpolated between the rows (`interpolated_voltages`).
-        interpolation: Kind of interpolation.
+        interpolation: How they are interpolated, see `updated_inputs`.
         voltage_errors: Statistics of the errors of interpolated voltages; None if the voltages are held.
         clock_voltages: Changes of voltages between the rows by the jitter of the controller's clock; None
             without jitter.
@@ -141,7 +141,7 @@ class PreparedRecording:
         return np.asarray(np.sqrt(self.weights) / self.noise)
 
     def first_rows(self, count: int) -> PreparedRecording:
-        """Return a copy with only the first rows of the run."""
+        """Return a copy with only the first `count` rows of the run, or all if it has fewer."""
         return self._rows(slice(count))
 
     def last_rows(self, count: int) -> PreparedRecording:
@@ -315,7 +315,7 @@ class Dataset:
         """Return a copy with other voltages.
 
         Args:
-            inputs: Voltages, V, shape (n, drives), by the name of the run.
+            inputs: Voltages, V, shape (n, drives), by the name of the run; every run needs an entry.
         """
         runs = (dataclasses.replace(run, inputs=inputs[run.name]) for run in self.runs)
         return dataclasses.replace(self, runs=tuple(runs))
@@ -331,7 +331,11 @@ class Dataset:
         return max(run.updates for run in self.runs)
 
     def with_all_runs(self, **changes: Any) -> Dataset:
-        """Return a copy in which some fields of `PreparedRecording` have new values, the same in all runs."""
+        """Return a copy in which attributes of the runs have new values, the same in all runs.
+
+        Args:
+            **changes: New values by name of the attribute of `PreparedRecording`.
+        """
         runs = (dataclasses.replace(run, **changes) for run in self.runs)
         return dataclasses.replace(self, runs=tuple(runs))
 

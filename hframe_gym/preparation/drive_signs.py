@@ -56,7 +56,11 @@ def turned_coordinates(machine: Machine, runs: Sequence[PreparedRecording]) -> t
 
 
 def with_turned(machine: Machine, coordinates: Sequence[str]) -> Machine:
-    """Return a copy of a machine in which the sensors of some coordinates have the opposite sign."""
+    """Return a copy of a machine in which the sensors of some coordinates have the opposite sign.
+
+    Args:
+        coordinates: Names of the coordinates, as `turned_coordinates` finds them.
+    """
     turned = [
         dataclasses.replace(s, row={name: -factor for name, factor in s.row.items()})
         for s in machine.sensors

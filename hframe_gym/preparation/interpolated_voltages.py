@@ -48,7 +48,7 @@ def updated_inputs(
     Args:
         inputs: Inputs in the rows, V, shape (..., n, drives).
         updates: Changes of the inputs from one row to the next.
-        interpolation: Kind of interpolation.
+        interpolation: "akima" (piecewise cubic), "straight" (lines) or "spline" (cubic).
 
     Returns:
         Inputs at `update_times`, V, shape (..., (n - 1) * `updates` + 1, drives).

@@ -131,7 +131,7 @@ def range_effects(
     Args:
         ranges: Lower and upper end of the measuring range by channel name, m or rad.
         selected: Effects that the search selected. If one of them is the ``sensor_range`` of the same sensor,
-            the intersection of both ranges is used.
+            the intersection of both ranges is used; if it is empty, `high` is `low`.
 
     Returns:
         One effect per channel in `ranges`, with the parameters `low` and `high`, m or rad.

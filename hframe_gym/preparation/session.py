@@ -62,6 +62,7 @@ def prepare_session(recordings: Sequence[Recording], machine: Machine, log: Line
     Args:
         recordings: Runs as logged.
         machine: Machine as declared.
+        log: Called with a line of text for everything that is left out, unwrapped or turned.
     """
     recordings, machine, statements = without_unmeasured_positions(recordings, machine)
     for statement in statements:

@@ -103,9 +103,9 @@ def find_wrap(values: Array, moduli: Mapping[float, str]) -> Wrap | None:
         moduli: Name of each possible modulus by its size, in the unit of the values, see `known_moduli`.
 
     Returns:
-        Modulus, its name and the number of jumps. None if nothing jumps, if the jumps have no known size, if
-        the values extend over more than one modulus, or if the motion is so fast that its direction at a jump
-        is ambiguous.
+        Modulus, its name, and the numbers of jumps and of lost measurements. None if nothing jumps, if the
+        jumps have no known size, if the values extend over more than one modulus, or if the motion is so fast
+        that its direction at a jump is ambiguous.
     """
     measured = values[np.isfinite(values) & ~switching_rows(values)]
     changes = np.diff(measured)
@@ -242,7 +242,11 @@ def _speed_around(changes: Array, steps: Array, gaps: NDArray[np.int_]) -> Array
 
 
 def wraps_of(recording: Recording, machine: Machine) -> dict[str, Wrap]:
-    """Recognize the output channels of a recording that wrap."""
+    """Recognize the output channels of a recording that wrap.
+
+    Returns:
+        Wrap, in the unit of the sensor, by channel; channels that do not wrap are missing.
+    """
     found = {}
     for sensor, values in zip(machine.sensors, recording.outputs.T, strict=True):
         if sensor.turn is not None:
