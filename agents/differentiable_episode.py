@@ -104,6 +104,7 @@ class SimulatedPeriod:
         """Compute the gradients of a number by the chain rule, from its derivatives by a period's outputs.
 
         Args:
+            motions: Motions that `simulate` returned.
             by_outputs: Derivatives by the result of `outputs`, per SI unit, shape (B, 2 n + axes * SAMPLES).
 
         Returns:

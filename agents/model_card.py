@@ -115,9 +115,9 @@ def improves(costs: Array, kept: Array | None) -> bool:
     standard error. A large reduction in a single episode alone does not suffice.
 
     Args:
-        costs: Costs of the new agent, one per episode, s or mm, shape (B,).
-        kept: Costs of the kept agent in the same episodes, in the same unit, shape (B,); None if there is
-            none.
+        costs: Costs of the new agent, one per episode, s or mm, shape (B,), B at least 2.
+        kept: Costs of the kept agent in the same episodes, in the same unit, shape (B,). None if there is
+            none; the result is then True.
     """
     if kept is None:
         return True

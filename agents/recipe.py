@@ -162,10 +162,14 @@ def require_transfers(recipe: Recipe, machine: Machine, task: str) -> None:
 
 
 def build_task(recipe: Recipe, name: str, unit: AxisUnit = METERS) -> Task:
-    """Build the task of a training run, a registered name or `module:name`, with the recipe's settings.
+    """Build the task of a training run with the recipe's settings (`Recipe.task`).
 
     Recipes state lengths in m. If the unit of the axes is rad, they hold as angles at the end of an arm of
     0.1 m.
+
+    Args:
+        name: Name of a registered task, or `module:name`.
+        unit: Unit of the tool's axes.
 
     Raises:
         InputError: If the task is unknown, its class does not have the keywords of `recipe.task`, or its

@@ -43,12 +43,14 @@ def train_seeds(
     dies starts again. Arguments that are not described are those of `train`.
 
     Args:
-        seeds: Seeds, one agent each.
+        seeds: Seeds, all different, one agent each.
         out: Folder for the agents: the agent of seed N in its folder seed_N, a single one in `out` itself.
         log: Function that receives one line of text when a run is complete.
         progress: Function that receives the number of complete runs and of all runs, after each run.
+        jobs: Number of worker processes, and so of seeds that are trained at a time, for local processes.
         ray: Ray runs the workers instead: "local" starts it on this machine, "auto" is the running cluster
             that this machine belongs to, "HOST:PORT" the head node of a cluster. Default: local processes.
+        show_curves: Whether a worker prints a line after each evaluation.
 
     Returns:
         Contents of each agent's card.json, by seed: recipe, package versions and learning curve.

@@ -104,6 +104,9 @@ class LogView:
 def view_log(path: Path, machine: Machine, options: MappingOptions) -> LogView:
     """Read the first log of a file and determine how an import would use each of its columns.
 
+    Args:
+        options: Columns, units and factors that the user has assigned to channels.
+
     Returns:
         The log's curves; a column that is used as a channel is converted to the channel's unit.
 

@@ -111,7 +111,10 @@ class Session:
             path.unlink(missing_ok=True)
 
     def use_machine(self, content: bytes) -> Machine:
-        """Store a machine.json that the user dropped, and return its machine.
+        """Store a machine.json that the user dropped, and return its machine; the present one is replaced.
+
+        Args:
+            content: Bytes of the file.
 
         Raises:
             InputError: If it is faulty; the machine of the session then stays as it was.
@@ -171,7 +174,11 @@ class Session:
 
 
 def command_text(words: Sequence[str]) -> str:
-    """Write a command as the user would type it, in one line."""
+    """Write a command as the user would type it, in one line.
+
+    Args:
+        words: Words after "hframe", or those of `Session.aside_command`, which begin with "mkdir".
+    """
     line = " ".join(map(quoted, words))
     if words[0] != "mkdir":
         return f"hframe {line}"
@@ -182,6 +189,7 @@ def new_machine_command(like: str, values: Mapping[str, str | bool | Sequence[st
     """Return the words of the command that writes a session's machine from a template, or replaces it.
 
     Args:
+        like: Name of the template.
         values: Values by name of the option of `hframe machines new`, without dashes, or by name of a
             parameter such as "x.mass" (`--set`); empty ones are left out. An option that is repeated has a
             list, a switch True or False.

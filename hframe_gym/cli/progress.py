@@ -29,6 +29,11 @@ _INTERRUPTS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGBREAK") if 
 def progress_bar(description: str) -> Iterator[Callable[[int, int], None]]:
     """Show a progress bar during the `with` block, if the output is a terminal.
 
+    A program that started this one and asked for progress records gets these instead of a bar.
+
+    Args:
+        description: What the command does, in words before the bar.
+
     Yields:
         Function that updates the bar. Call it with the work done and the total work, for example in bytes.
     """

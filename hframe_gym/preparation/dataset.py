@@ -150,7 +150,7 @@ class PreparedRecording:
         The initial state stays that of the complete run.
 
         Args:
-            count: Number of rows to keep, at least 1.
+            count: Number of rows to keep, from 1 to the number of rows of the run.
         """
         return self._rows(slice(len(self.time_s) - count, None))
 
@@ -281,7 +281,11 @@ class Dataset:
         return np.where(by_mean, np.inf, max_zero_means(self.behind_belts, self.quantum))
 
     def with_runs(self, names: Sequence[str]) -> Dataset:
-        """Return a copy with the named runs, in their present order, with the same noise and quantization."""
+        """Return a copy with the named runs only, in their present order; other properties stay.
+
+        Args:
+            names: Names of runs; those that the data set does not have are ignored.
+        """
         return dataclasses.replace(self, runs=tuple(run for run in self.runs if run.name in names))
 
     def leaving_out(self, piece: int, pieces: int) -> tuple[Dataset, Dataset]:

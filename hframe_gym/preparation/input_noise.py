@@ -36,12 +36,16 @@ _FORCE_UNITS = ("A", "Nm")
 
 
 def noise_of_input(values: Array) -> float:
-    """Estimate the noise of an input from its `values`, in their unit, shape (n,).
+    """Estimate the standard deviation of the noise of an input.
 
-    0 for fewer than three rows.
-
-    The estimate is the median of second differences, which is zero for a command that holds its values over
+    It follows from the median of second differences, which is zero for a command that holds its values over
     several rows, and small for a smooth one.
+
+    Args:
+        values: Values of the input without gaps (NaN), in any unit, shape (n,).
+
+    Returns:
+        Standard deviation, in the unit of the values; 0 for fewer than three rows.
     """
     return white_noise([values], 2)
 

@@ -105,6 +105,10 @@ def _prepared(recordings: Sequence[Recording], machine: Machine, log: LineLog) -
 def prepare_within_ranges(usable: Sequence[Recording], machine: Machine) -> tuple[Dataset, dict[str, Range]]:
     """Prepare recordings like `prepare`, without the measurements at the ends of the sensors' ranges.
 
+    Args:
+        usable: Runs without other unusable measurements, see `usable_run`.
+        machine: Machine as declared.
+
     Returns:
         Data set, and the ranges of the sensors that saturate, as `without_saturated` finds them.
     """

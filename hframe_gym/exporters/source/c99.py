@@ -77,6 +77,10 @@ def declaration(formula: Formula, prefix: str) -> str:
 def definition(formula: Formula, language: C99) -> tuple[str, frozenset[str]]:
     """Define a formula as a function.
 
+    Args:
+        language: Writer; its prefix precedes the function's name, and the helper functions that the text uses
+            are added to its `helpers`.
+
     Returns:
         Text of the function, and the texts of the parameters (identifiers) and inputs that it uses.
     """

@@ -92,7 +92,11 @@ class Body:
 
 
 def write_body(formula: Formula, language: Language) -> Body:
-    """Write the assignments of a formula: common parts first, each computed once, then the outputs."""
+    """Write the assignments of a formula: common parts first, each computed once, then the outputs.
+
+    Args:
+        language: Writer, to whose `helpers` the functions that the text uses are added.
+    """
     return _Writer(formula, language).body
 
 

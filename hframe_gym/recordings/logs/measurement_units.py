@@ -220,6 +220,10 @@ def wrong_unit_message(machine: Machine, channel: str, unit: str) -> str:
 
     It proposes the options --unit, with the possible units, and --scale. For encoder counts, it also proposes
     a factor, the declared resolution of the sensor; for a number of bits, the factor of a duty cycle.
+
+    Args:
+        channel: Name of the channel, or "time_s".
+        unit: The impossible unit as the log or the user states it.
     """
     factor = f"a factor to {SI_UNITS[channel_dimension(machine, channel)]} by --scale {channel}=FACTOR"
     resolution = machine.sensor(channel).resolution if channel in machine.output_channels else 0.0

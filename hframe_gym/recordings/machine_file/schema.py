@@ -270,7 +270,14 @@ TABLES: tuple[type[Table], ...] = (
 
 
 def fields(table: type[Table]) -> dict[str, FieldInfo]:
-    """Return the fields of one kind of object in machine.json by their names in the file."""
+    """Return the fields of one kind of object in machine.json by their names in the file.
+
+    Args:
+        table: Class of the object, such as `MachineFile` or `EffectEntry`.
+
+    Returns:
+        What pydantic knows of each field (type, default, limits) by its name, such as "schema" for `schema_`.
+    """
     return {info.alias or name: info for name, info in table.model_fields.items()}
 
 
@@ -279,6 +286,9 @@ def field_units(info: FieldInfo) -> tuple[str, ...]:
 
     Of two units, the first is for linear coordinates and the second for rotary ones. Noise and resolution of
     a sensor have the unit of its measurement.
+
+    Args:
+        info: One of the fields that `fields` returns.
     """
     extra: Any = info.json_schema_extra or {}
     return tuple(extra.get("properties", {}).get("unit", {}).get("enum", ()))

@@ -80,7 +80,12 @@ def detect_separator(lines: Sequence[str]) -> str:
 
 
 def is_data(row: Sequence[str], least: float = 0.5) -> bool:
-    """Return whether at least the fraction `least`, 0 to 1, of nonempty cells are numbers or time stamps."""
+    """Return whether enough cells of a row are numbers or time stamps, and at least one.
+
+    Args:
+        row: Cells of the row, see `split_row`.
+        least: Smallest fraction of them, 0 to 1, among the cells that are not missing (`is_missing`).
+    """
     numbers = texts = 0
     for cell in row:
         if is_number_or_stamp(cell):

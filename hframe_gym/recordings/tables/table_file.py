@@ -237,7 +237,16 @@ def read_parquet_column(path: Path, file: Any, name: str, max_rows: int | None =
 
 
 def parquet_numbers(path: Path, name: str, column: Any) -> Array:
-    """Convert a Parquet column to numbers, shape (rows,), NaN where empty; InputError if one is not exact."""
+    """Convert a Parquet column to numbers, shape (rows,), NaN where empty.
+
+    Args:
+        path: The file, for messages.
+        name: Name of the column, for messages.
+        column: Column as `read_parquet_column` returns it.
+
+    Raises:
+        InputError: If its values are no numbers, or one cannot be converted exactly.
+    """
     try:
         return np.asarray(column.cast("double").to_numpy(), np.float64)
     except Exception as error:  # pyarrow raises many types, some of them private

@@ -165,6 +165,9 @@ def open_text(path: Path, encoding: str) -> Iterator[tuple[TextIO, BinaryIO]]:
 
     Bytes that are no text, such as a serial line garbles them, are read as U+FFFD, which no number has.
 
+    Args:
+        encoding: Name of the encoding for Python's codecs, see `TextFormat`.
+
     Yields:
         Two streams: the text, with line feeds as line ends, and the underlying file, whose position shows how
         many bytes have been read.

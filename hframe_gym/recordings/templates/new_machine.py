@@ -28,7 +28,8 @@ def new_machine(like: str, name: str, options: MachineOptions) -> Machine:
     the gear ratio.
 
     Args:
-        like: Template, one of `TEMPLATES`.
+        like: Name of the template, a key of `TEMPLATES`.
+        name: Name of the new machine.
         options: Values of the new machine, each None where the template's value is kept.
 
     Raises:

@@ -41,7 +41,11 @@ class TemplateQuestion:
 
 
 def template_questions(like: str) -> tuple[TemplateQuestion, ...]:
-    """Return the questions to ask about a template, one for each of its options, in order."""
+    """Return the questions to ask about a template, one for each of its options, in order.
+
+    Args:
+        like: Name of the template, a key of `TEMPLATES`.
+    """
     machine = BUILTIN_MACHINES[like]()
     drive, axes = machine.drives[0], [machine.coordinate(name) for name in machine.tool_axes]
     moved = machine.coordinate(drive.coordinate)

@@ -88,7 +88,14 @@ def ros2_name(name: str) -> str:
 def decoded(where: str, number: int, decode: Callable[[bytes], Any], content: bytes) -> Any:
     """Decode one message.
 
-    If it is damaged, an InputError names its file and topic `where`, and its number from 1.
+    Args:
+        where: File and topic, for the error.
+        number: Number of the message in its topic, from 1, for the error.
+        decode: Function that decodes it, see `RosDecoder.decoder`.
+        content: Bytes of the message.
+
+    Raises:
+        InputError: If the message is damaged.
     """
     try:
         return decode(content)
