@@ -176,7 +176,12 @@ class AdaptiveController(FullStateController):
 
 
 def scaled_machine(machine: Machine, stiffness_ratio: float, mass_ratio: float) -> Machine:
-    """Return a machine with `stiffness_ratio` times all EA and `mass_ratio` times all masses."""
+    """Return a copy of a machine with other belts and masses.
+
+    Args:
+        stiffness_ratio: Factor on the EA of all belts, dimensionless.
+        mass_ratio: Factor on all masses and moments of inertia, dimensionless.
+    """
     factors = {"EA": stiffness_ratio, "mass": mass_ratio}
     values = machine.parameters.items()
     kinds = {name: name.rpartition(".")[2] for name in machine.parameters}

@@ -90,12 +90,20 @@ CONTROLLERS: Registry[type[Controller]] = Registry("controller")
 
 
 def suited_controllers(machine: Machine) -> tuple[str, ...]:
-    """Return the names of controllers that can command a machine's drives, the recommended one first."""
+    """Return the names of controllers that can command a machine's drives, the recommended one first.
+
+    They are those for set points if a drive has a law, such as a servo, else those for voltages. The
+    controllers may still refuse the machine.
+    """
     return tuple(n for n in CONTROLLERS if CONTROLLERS.get(n).set_points == bool(machine.drive_laws))
 
 
 class EpisodeStarts:
-    """Record of the machines that start a new episode next, in `mask`, which is empty before `resize`."""
+    """Record of the machines that start a new episode next.
+
+    Attributes:
+        mask: True for these machines, shape (B,); empty before `resize`, and after a `reset` of all machines.
+    """
 
     def __init__(self) -> None:
         self.mask: Mask = np.zeros(0, np.bool_)
@@ -108,7 +116,11 @@ class EpisodeStarts:
             self.mask = self.mask | mask
 
     def resize(self, count: int) -> bool:
-        """Set the number of machines. If it changes, mark all as starting a new episode and return True."""
+        """Set the number of machines; if it changes, mark all as starting a new episode.
+
+        Returns:
+            Whether it has changed; if not, the marks stay.
+        """
         if len(self.mask) == count:
             return False
         self.mask = np.ones(count, np.bool_)
@@ -123,6 +135,9 @@ class FullStateController(Controller):
     """Controller that needs the full state of a machine with one drive per axis; implement `act_on_state`.
 
     This class converts observations to states and goals, and records which machines start a new episode.
+
+    Attributes:
+        model: Model of the machine for the design.
 
     Raises:
         InputError: If the machine does not have one drive per axis of its tool, or the period is invalid.

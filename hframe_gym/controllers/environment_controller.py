@@ -25,6 +25,10 @@ class EnvironmentController(Controller):
 
     It undoes the options `normalize`, `flat` and `error`. An observation without batch axis is that of one
     machine.
+
+    Args:
+        controller: Controller that reads observations as arrays by key in SI units.
+        form: Format of the environment's observations.
     """
 
     feedback: ClassVar[Feedback] = "observation"

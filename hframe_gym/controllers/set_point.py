@@ -47,8 +47,9 @@ class SetPointController(Controller):
     position_gain. A commanded speed contains a correction in proportion to the error of the tool's position.
 
     Attributes:
-        acceleration: Largest acceleration of the reference along each axis, m/s^2, shape (axes,).
-        speed: Largest speed of the reference along each axis, m/s, shape (axes,); infinite without a limit.
+        acceleration: Largest acceleration of the reference along each axis, m/s^2 or rad/s^2, shape (axes,).
+        speed: Largest speed of the reference along each axis, m/s or rad/s, shape (axes,); infinite without a
+            limit.
         weights: Weights of the last references in the set points, the latest first, dimensionless,
             shape (references,).
 

@@ -37,7 +37,7 @@ class BatchProperties:
     def compute_reward(self) -> Callable[[Any, Any, Any], Any]:
         """Function (achieved_goal, desired_goal, info) -> reward, such as for hindsight replay.
 
-        The function takes goals as observed (m; with `normalize` dimensionless), shape (axes,) or (n, axes).
+        The function takes goals as observed (m, rad or normalized), shape (axes,) or (n, axes).
         It returns a float or an array of shape (n,), dimensionless. For the goals that `step` returned, it
         returns exactly the rewards of `step`. Only the reward "progress" uses `info`: it reads the goals
         before the step (`previous_achieved_goal`).

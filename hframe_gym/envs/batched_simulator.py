@@ -152,7 +152,7 @@ class BatchedSimulator:
         Their time, the internal states of effects and the delayed voltages become zero.
 
         Args:
-            position: Tool positions, m, shape (k, axes).
+            position: Tool positions, m or rad, shape (k, axes); ignored if `motion` is given.
             motion: Positions of the n coordinates, then their velocities, in their units, shape (k, 2 n), in
                 place of `position`. Default: at rest.
         """
@@ -199,9 +199,13 @@ class BatchedSimulator:
     def advance(self, actions: NDArray[Any], clipped: EnvironmentCounts, first: int, last: int) -> None:
         """Advance the machines in blocks first to last - 1 by the control period that `begin_period` began.
 
-        Calls for different blocks may run in several threads at once. `clipped` counts the entries of
-        `actions`, voltages as fractions of the rated ones, shape (count, drives), outside [-1, 1], to which
-        they are limited.
+        Calls for different blocks may run in several threads at once.
+
+        Args:
+            actions: Voltages as fractions of the rated ones, shape (count, drives), limited to [-1, 1] here.
+            clipped: Number of entries outside [-1, 1] since the reset of each machine; increased here.
+            first: First block.
+            last: Block after the last one.
         """
         self.actuators.command(actions, first, last, clipped)
         if self._delay_line is not None:
@@ -231,7 +235,12 @@ class BatchedSimulator:
     # -- reading ---------------------------------------------------------------------------------------------
 
     def tool_positions(self, first: int = 0, last: int | None = None) -> Array:
-        """Compute the true tool positions in blocks `first` to `last` - 1 (None: all), m, shape (k, axes)."""
+        """Compute the true tool positions of the machines in some blocks, m or rad, shape (k, axes).
+
+        Args:
+            first: First block.
+            last: Block after the last one. Default: all blocks from the first one on.
+        """
         last = self.blocks if last is None else last
         positions = np.empty((min(last * LANES, self.count) - first * LANES, len(self._tool_terms)))
         write_tool_positions(self.state, self.units_per_travel, self._tool_terms, first, positions)

@@ -58,8 +58,8 @@ class EnvConfig:
         machine: A `Machine`, the name of a machine preset ("hframe", ...) or the path of a machine.json.
         task: Registered name ("reach", "track"), `package.module:name`, or a `Task`.
         reward: Registered name ("dense", "sparse", "arrival", "progress"), `package.module:name`, or a
-            function of achieved and desired tool positions, m, shape (n, axes) each, that returns n rewards.
-            Default: "dense", with `normalize` "progress".
+            function of achieved and desired tool positions, m or rad, shape (n, axes) each, that returns n
+            rewards. Default: "dense", with `normalize` "progress".
         randomize: "none", "default", "wide", "identified" (from the covariance of a machine.json that
             `hframe identify` wrote), or a list of `RandomizeParameter` and `RandomizeIdentified`.
         sensors: What is observed: "state" (the true positions and velocities of x, y and the driven
@@ -137,7 +137,14 @@ class EnvConfig:
 def check_keywords(
     constructor: str, options: dict[str, Any], others: tuple[str, ...] = ("render_mode",)
 ) -> None:
-    """Raise a TypeError, with similar and valid names, for an option that no environment has."""
+    """Raise a TypeError, with similar and valid names, for an option that no environment has.
+
+    Args:
+        constructor: Name of the class or function that received the options, for the message.
+        options: Keywords to check; their values do not matter.
+        others: Further keywords of this constructor, which the message lists. They are not accepted in
+            `options`.
+    """
     names = [field.name for field in dataclasses.fields(EnvConfig)]
     for keyword in options:
         if keyword not in names:
@@ -150,7 +157,7 @@ def check_keywords(
 
 
 def check_render_mode(mode: str | None, modes: Sequence[str]) -> str | None:
-    """Return a render mode (None: no rendering); an InputError refuses unsupported ones."""
+    """Return a render mode of `modes`, or None (no rendering), unchanged; an InputError refuses others."""
     if mode is not None and mode not in modes:
         raise InputError(f"render_mode is {mode!r}; choose one of {', '.join(modes)} or None")
     return mode

@@ -46,9 +46,10 @@ class StepResult(NamedTuple):
     Attributes:
         terminated: Whether `achieved_goal` is outside the workspace, bool, shape (count,); always False
             unless `ends` is "terminate".
-        distance: Distance of the true tool position to the goal, m, shape (count,).
-        contour: Distance of the true tool position to the path, m, shape (count,); None for a task without a
-            path.
+        reward: Rewards, dimensionless, shape (count,).
+        distance: Distance of the true tool position to the goal, m or rad, shape (count,).
+        contour: Distance of the true tool position to the path, m or rad, shape (count,); None for a task
+            without a path.
     """
 
     reward: Array
@@ -60,7 +61,17 @@ class StepResult(NamedTuple):
 class EnvironmentBatch:
     """Advance, observe and reset many environments with the same options.
 
+    Args:
+        config: Options of the environments.
+        count: Number of environments, at least 1.
+
     Attributes:
+        machine: Machine with the chosen sensors and actuators.
+        task: Chooses starts and goals.
+        sampler: Samples the parameters of episodes.
+        simulator: Simulates the machines.
+        references: Goals of the running episodes.
+        rewards: Computes the rewards of steps.
         workspace: One row per axis of the tool (x and y), columns low and high, m or rad, shape (axes, 2).
         distance_key: Key of an info with the distance to the goal: "distance_m", or "distance_rad" for rotary
             axes.
@@ -158,7 +169,7 @@ class EnvironmentBatch:
         """Begin a new episode in k environments, with new parameters, start position and goal.
 
         Args:
-            start: Tool positions at the start, m, shape (k, axes). Default: the task chooses them.
+            start: Tool positions at the start, m or rad, shape (k, axes). Default: the task chooses them.
             plan: Plans of the goals. Default: the task chooses them.
             parameters: Values by full name, SI, shape (k,) each, in place of those that are sampled.
             motion: Positions of the n coordinates, then their velocities, in their units, shape (k, 2 n), in
@@ -192,7 +203,7 @@ class EnvironmentBatch:
     # -- step ------------------------------------------------------------------------------------------------
 
     def check_actions(self, actions: Any, *, single: bool = False) -> NDArray[Any]:
-        """Check that `reset` was called, and check and convert actions, shape (count, drives).
+        """Check that `reset` was called; check and convert actions, shape (count, drives), for `step`.
 
         Args:
             single: Whether messages speak of the action of a single environment.
@@ -334,13 +345,13 @@ class EnvironmentBatch:
         return observation
 
     def contour(self, index: Index | slice) -> Array | None:
-        """Compute the contour errors of k environments, m, shape (k,); None for a task without a path."""
+        """Compute k environments' contour errors, m or rad, shape (k,); None for a task without a path."""
         return (
             self.references.contour(index, self.simulator.tool_positions()[index]) if self._has_path else None
         )
 
     def distance(self, index: Index) -> Array:
-        """Compute distances of the true tool positions of k environments to their goals, m, shape (k,)."""
+        """Compute distances of k environments' true tool positions to their goals, m or rad, shape (k,)."""
         tool = np.empty((self.count, len(self.workspace)), np.float32)
         for first, last in block_ranges(index):
             self.observations.write_tool(first, last, tool)

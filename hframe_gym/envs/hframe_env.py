@@ -151,10 +151,11 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
 
         Args:
             seed: Seed of the environment's random generator; None continues the present sequence.
-            options: Optional keys `start` and `target`: tool and goal positions, m, shape (axes,), in place
-                of those that the task chooses; `parameters`: values by full name ("x.mass"), SI, in place of
-                the sampled ones, for this episode; `state`: positions of the machine's n coordinates, then
-                their velocities, in their units, shape (2 n,), in place of `start` and rest.
+            options: Optional keys `start` and `target`: tool and goal positions, m or rad, shape (axes,), in
+                place of those that the task chooses; `parameters`: values by full name ("x.mass"), SI, in
+                place of the sampled ones, for this episode; `state`: positions of the machine's n
+                coordinates, then their velocities, in their units, shape (2 n,), in place of `start` and
+                rest.
 
         Raises:
             InputError: If an option or a parameter is unknown or impossible, a position is outside the

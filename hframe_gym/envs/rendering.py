@@ -35,6 +35,8 @@ TARGET, PATH, TRACE = (22, 140, 92), (150, 206, 178), (238, 140, 20)
 class Scene:
     """Hold the positions, tensions and goal of one environment that a picture shows.
 
+    Points of a rotary axis are those of the end of an arm (`drawn_point`).
+
     Attributes:
         position: Tool position (x, y), m.
         target: Goal position (x, y), m.
@@ -44,7 +46,8 @@ class Scene:
         trail: Past tool positions (x, y), m, oldest first.
         path: Positions (x, y) of a moving goal, m; empty for a fixed goal.
         time_s: Time since the reset, s.
-        distance: Distance from tool to goal, mm or mrad.
+        distance: Distance from tool to goal, in `distance_unit`.
+        distance_unit: "mm" or "mrad".
     """
 
     position: Point
@@ -123,6 +126,7 @@ class Renderer:
     """Draw scenes of one machine into a window or an array.
 
     Args:
+        mode: "rgb_array" for pictures as arrays, "human" for a window.
         fps: Maximum frame rate of the window, 1/s.
 
     Raises:

@@ -21,6 +21,12 @@ def reset_keywords(
     Args:
         options: Dict with the optional keys `start`, `target`, `parameters` and `state`, see
             `HFrameEnv.reset`; each has values for all environments, or a row for each. None: no options.
+        batch: The environments.
+        count: Number of environments that are reset.
+        others: Further keys, which the caller handles.
+
+    Returns:
+        The keywords `start`, `plan`, `parameters` and `motion`, as far as the options determine them.
 
     Raises:
         InputError: If the options are not a dict, a key or parameter is unknown, or a value has another

@@ -47,7 +47,7 @@ _DENSE, _SPARSE, PROGRESS, _ARRIVAL = 0, 1, 2, 3
 
 @compiled
 def row_distance(first: Any, second: Any, b: int) -> float:
-    """Compute Euclidean distance, m, between rows b of two arrays of positions, m, shape (n, axes) each."""
+    """Compute the distance of rows b of two arrays of positions, m or rad, shape (n, axes) each."""
     last = first.shape[1] - 1
     x = np.float64(first[b, 0]) - np.float64(second[b, 0])
     y = np.float64(first[b, last]) - np.float64(second[b, last])
@@ -73,10 +73,10 @@ def evaluate_rows(
     """Compute distances to the goal and built-in rewards of rows first to last - 1 (one row per environment).
 
     Args:
-        tool: True tool positions, m, shape (n, axes).
-        achieved: Tool positions that the reward uses, true or measured, m, shape (n, axes).
+        tool: True tool positions, m or rad, shape (n, axes).
+        achieved: Tool positions that the reward uses, true or measured, m or rad, shape (n, axes).
         measured: Whether `achieved` is measured and can differ from `tool`; if not, only `tool` is used.
-        desired: Goal positions, m, shape (n, axes).
+        desired: Goal positions, m or rad, shape (n, axes).
         kind: Number of the built-in reward for the distance d. 0: dense, from -1 (far) to 0 (at the goal). 1:
             sparse, 0 within `band` and -1 outside. 2: the potential of "progress", -ln(1 + d / 1 mm). 3:
             arrival, like dense.
@@ -127,7 +127,12 @@ def _check_same_shape(achieved: Positions, desired: Positions) -> None:
 
 
 def distances(achieved: Positions, desired: Positions) -> Array:
-    """Compute the distances, m, shape (n,), from `achieved` to `desired` positions, m, shape (n, axes)."""
+    """Compute the distances from achieved to desired positions, m or rad, shape (n,).
+
+    Args:
+        achieved: Tool positions, m or rad, shape (n, axes).
+        desired: Goals, m or rad, shape (n, axes).
+    """
     _check_same_shape(achieved, desired)
     distance, reward = np.empty(len(achieved)), np.empty(len(achieved))
     evaluate_rows(achieved, achieved, False, desired, 0, len(achieved), _DENSE, 0.0, 1.0, distance, reward)
@@ -220,14 +225,15 @@ def as_reward(reward: RewardLike, band: float, axes: int = 2, unit: AxisUnit = M
     Args:
         reward: Registered name ("dense", "sparse", ...), `package.module:name`, or a reward function as it is
             returned.
-        band: Distance to the goal that counts as a success, m. What is registered under a name is called with
-            it and returns the reward function; a function that is given directly does not receive it.
+        band: Distance to the goal that counts as a success, m or rad. What is registered under a name is
+            called with it and returns the reward function; a function that is given directly does not receive
+            it.
         axes: Number of axes of the tool, for a test call of the function.
         unit: Unit of positions and of the band; the lengths of built-in rewards hold for angles at the end of
             an arm.
 
     Returns:
-        Function of achieved and desired positions, m, shape (n, axes) each, that returns rewards,
+        Function of achieved and desired positions, m or rad, shape (n, axes) each, that returns rewards,
         dimensionless, shape (n,). The function for "progress" returns a potential instead, from whose
         increase in a step `StepRewards` computes the reward.
 

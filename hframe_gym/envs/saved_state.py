@@ -55,7 +55,13 @@ def generator_state(generator: np.random.Generator | None) -> dict[str, Any] | N
 
 
 def check_state(state: Any, kind: str, batch: Any) -> None:
-    """Check that the argument of `set_state` belongs to environments of this kind, options and number."""
+    """Raise an InputError unless the argument of `set_state` fits these environments.
+
+    Args:
+        state: The argument, such as a result of `get_state`.
+        kind: Kind of these environments, "single" or "vector".
+        batch: Their `EnvironmentBatch`, whose machine, number and options the state must have.
+    """
     if not isinstance(state, dict) or state.get("format") != FORMAT:
         raise InputError("set_state: the argument is no state that get_state of this version returned")
     if state["kind"] != kind:

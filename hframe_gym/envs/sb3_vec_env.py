@@ -58,9 +58,10 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
 
     Observations are new dicts of arrays. Where an episode ended, they are those after the reset, and the info
     holds `terminal_observation`, `TimeLimit.truncated` (the limit, not the workspace's edge, ended the
-    episode), `is_success` and `distance_m` at its end. The info of an episode that continues is empty, except
-    that with the reward "progress" every info holds `previous_achieved_goal` (and `previous_desired_goal` if
-    goals move), which `compute_reward` needs, and that every info holds what wrappers add.
+    episode), `is_success` and `distance_m` (or `distance_rad`) at its end. The info of an episode that
+    continues is empty, except that with the reward "progress" every info holds `previous_achieved_goal` (and
+    `previous_desired_goal` if goals move), which `compute_reward` needs, and that every info holds what
+    wrappers add.
 
     Args:
         num_envs: Number of environments.
@@ -170,9 +171,9 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         """Advance by one control period with the actions that `step_async` has received.
 
         Where an episode ended, the observation is the first one of the next episode, and `infos` also has
-        `is_success` (tool within the task's band around the goal) and `distance_m` to the goal, m, at its
-        end. With the reward "progress", it has the goals before the step: `previous_achieved_goal` and, if
-        goals move, `previous_desired_goal`.
+        `is_success` (tool within the task's band around the goal) and the distance to the goal, `distance_m`
+        or `distance_rad`, at its end. With the reward "progress", it has the goals before the step:
+        `previous_achieved_goal` and, if goals move, `previous_desired_goal`.
 
         Raises:
             ValueError: If the actions have another shape or an entry is not finite.

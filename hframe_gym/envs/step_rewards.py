@@ -56,9 +56,11 @@ class ProgressReward(BuiltinReward):
     kind = PROGRESS
 
     def bonus(self, achieved: Positions, desired: Positions) -> Array:
-        """Compute 1 / (1 + d / 2 mm) of the distance d, shape (n,).
+        """Compute 1 / (1 + d / 2 mm) of the distance d to the goal (an angle times `meters`), shape (n,).
 
-        `achieved`, `desired`: m, shape (n, axes).
+        Args:
+            achieved: Tool positions, m or rad, shape (n, axes).
+            desired: Goals, m or rad, shape (n, axes).
         """
         return PRECISION_BONUS / (1.0 + distances(achieved, desired) * self.meters / BONUS_SCALE)
 
@@ -147,9 +149,13 @@ class StepRewards:
         self._after: dict[str, Positions] = {}
 
     def begin(self, index: Index, observation: Mapping[str, Positions]) -> None:
-        """Store goals, m, shape (count, axes), of `observation` in the rows `index`, where episodes start.
+        """Store the goals of an observation in the rows `index`, where episodes start.
 
         Only the reward "progress" needs them; for others this method does nothing.
+
+        Args:
+            observation: Arrays by key, of which `achieved_goal` and `desired_goal`, m or rad,
+                shape (count, axes), are used.
         """
         for key in self._keys:
             for goals in (self._before, self._after):
@@ -188,10 +194,10 @@ class StepRewards:
 
         Args:
             rows: The environments, a slice with start and stop.
-            observation: Arrays by key, of which `achieved_goal` and `desired_goal`, m, shape (count, axes),
-                are used.
-            tool: True tool positions, m, shape (count, axes).
-            distance: Output, distances from `tool` to the goals, m, shape (count,); other rows are not
+            observation: Arrays by key, of which `achieved_goal` and `desired_goal`, m or rad,
+                shape (count, axes), are used.
+            tool: True tool positions, m or rad, shape (count, axes).
+            distance: Output, distances from `tool` to the goals, m or rad, shape (count,); other rows are not
                 changed.
             reward: Output, rewards, dimensionless, shape (count,); other rows are not changed.
         """
@@ -233,7 +239,7 @@ class StepRewards:
         if both goals have the shape (axes,), else an array of shape (n,).
 
         Args:
-            achieved_goal: Achieved goals as observed (m, or normalized), shape (axes,) or (n, axes).
+            achieved_goal: Achieved goals as observed (m, rad or normalized), shape (axes,) or (n, axes).
             desired_goal: Desired goals, likewise. A single goal is combined with each of n goals of the other
                 argument.
             info: Info of the step, or one info per row. Only the reward "progress" uses it:

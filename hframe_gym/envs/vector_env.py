@@ -113,9 +113,9 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
 
     @property
     def travel(self) -> Array:
-        """True positions of all coordinates, m, float64, shape (num_envs, coordinates).
+        """True positions of all coordinates as belt travel, m, float64, shape (num_envs, coordinates).
 
-        A rotary coordinate is given as belt travel, radius * angle.
+        The belt travel of a rotary coordinate is its radius * angle, that of a linear one its position.
         """
         count = len(self.machine.coordinates)
         return (

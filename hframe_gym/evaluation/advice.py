@@ -38,7 +38,14 @@ _CLEAR_GAIN = 1.15
 
 
 def assumptions(scores: Mapping[str, Any]) -> dict[str, str]:
-    """Describe the assumptions of an evaluation in sentences without a period, by their subject."""
+    """Describe the assumptions of an evaluation, for example what the sensors measure.
+
+    Args:
+        scores: Content of scores.json (`Evaluation.scores`).
+
+    Returns:
+        Sentences without a full stop by their subject: "Sensors", "Control period", "Drives", "Machines".
+    """
     sensors, drives, machines = (str(scores.get(key, "")) for key in ("sensors", "drives", "randomize"))
     period_ms, command = 1e3 * scores["period_s"], Command(**scores.get("command", {})).name
     return {
@@ -64,6 +71,8 @@ def next_steps(
     """Return proposals for what to do after an evaluation, the most important one first.
 
     Args:
+        scores: Content of scores.json (`Evaluation.scores`).
+        best: Name of the best controller; None if none succeeds.
         second: Name of a controller that is not significantly worse, None if there is none.
         worst: The worst episode of the best controller, in words; "" if it is not known.
         warnings: Sentences about results that cannot be trusted.
@@ -115,7 +124,11 @@ def next_steps(
 
 
 def worst_move(episodes: Episodes) -> str:
-    """Describe a controller's worst episode, such as "from (-80, 12) mm to (40, 0) mm", or its number."""
+    """Describe a controller's worst episode, such as "from (-80, 12) mm to (40, 0) mm".
+
+    For motion along a path it is the number of the episode, counted from 1, such as "episode 7".
+    `ranked_episodes` says which one is the worst.
+    """
     episode = int(ranked_episodes(episodes)[-1])
     if episodes.contour is not None:
         return f"episode {episode + 1}"

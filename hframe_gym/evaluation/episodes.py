@@ -74,5 +74,5 @@ class Episodes:
 
     @property
     def goal_error(self) -> Array:
-        """Distances of the tool to its present goal at n samples of B episodes, m, shape (B, n)."""
+        """Distances of the tool to its present goal at n samples of B episodes, m or rad, shape (B, n)."""
         return np.linalg.norm(self.position - self.goal, axis=2)

@@ -167,12 +167,13 @@ def settling_times(error: Array, time_s: Times, band: float) -> tuple[Array, NDA
     """Compute the settling times of B episodes: the times from which on the error never exceeds the band.
 
     Args:
-        error: Distance to the goal at n samples, m, shape (B, n).
-        band: Settling band: largest distance to the goal, m.
+        error: Distance to the goal at n samples, m or rad, shape (B, n).
+        band: Settling band: largest distance to the goal, m or rad.
 
     Returns:
         times: Settling times from the first sample, s, shape (B,); the episode's duration if it does not
-        settle. success: True for episodes that end within the band, shape (B,).
+            settle.
+        success: True for episodes that end within the band, shape (B,).
     """
     outside = error > band
     # Index of the first sample after the last one outside the band, (B,); n if the episode ends outside.
@@ -184,8 +185,8 @@ def settling_times(error: Array, time_s: Times, band: float) -> tuple[Array, NDA
 def ranked_episodes(episodes: Episodes) -> NDArray[np.intp]:
     """Return the indices of B episodes from the best to the worst, shape (B,).
 
-    Moves to a goal are ordered by their settling time within 0.2 mm, those that do not settle by the error at
-    the end; motion along a path by the root mean square of the contour error.
+    Moves to a goal are ordered by their settling time within 0.2 mm or 2 mrad, and those that do not settle
+    follow, by the error at the end; motion along a path by the root mean square of the contour error.
     """
     if episodes.contour is not None:
         return np.argsort(np.mean(episodes.contour**2, axis=1), kind="stable")
@@ -194,13 +195,14 @@ def ranked_episodes(episodes: Episodes) -> NDArray[np.intp]:
 
 
 def overshoot(position: Array, goal: Array) -> Array:
-    """Compute how far the tool passes its goal at most, along the line from start to goal, m, shape (B,).
+    """Compute the overshoot: how far the tool passes its goal at most, m or rad, shape (B,).
 
-    If start and goal coincide, it is the largest distance from them.
+    It is measured along the line from start to goal, and 0 if the tool does not pass the goal. If start and
+    goal coincide, it is the largest distance from them.
 
     Args:
-        position: Tool positions at n samples of B episodes, m, shape (B, n, axes).
-        goal: Fixed tool goals, m, shape (B, axes).
+        position: Tool positions at n samples of B episodes, m or rad, shape (B, n, axes).
+        goal: Fixed tool goals, m or rad, shape (B, axes).
     """
     way = goal - position[:, 0]  # from start to goal, m, (B, axes)
     length = np.linalg.norm(way, axis=1)

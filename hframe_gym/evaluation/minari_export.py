@@ -81,6 +81,7 @@ class ExportedDataset(NamedTuple):
     Attributes:
         dataset_id: Name for `minari.load_dataset`, for example "hframe/reach/pid-v0".
         folder: Folder of the data set, below the folder that `MINARI_DATASETS_PATH` names.
+        episodes: Number of episodes.
         steps: Number of steps of all episodes.
         mean_return: Mean over the episodes of the sum of rewards.
         success_rate: Fraction of the episodes that end within the task's band around the goal, 0 to 1.

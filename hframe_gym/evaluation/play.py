@@ -60,6 +60,10 @@ class _StageView(Renderer):
 class PlayedStage:
     """One simulated machine (stage) in the window of the game, driven by a controller or by the user.
 
+    Args:
+        scenario: As for `Game`.
+        name: Name of the controller. Default: the user.
+
     Attributes:
         view: Picture of the stage, which converts pixels to positions.
         volts: Voltages of the drives in the last control period, V, shape (drives,).
@@ -145,6 +149,7 @@ class Game:
     """Window in which the user drives a simulated machine (stage), and a controller the same one beside it.
 
     Args:
+        scenario: Machine, task, randomization, sensors, drives and control period.
         controller: Name of a controller that drives the first stage in place of the user. Default: the user.
         beside: Name of a controller that drives a second stage, same start, goal and parameters. Default:
             none.
@@ -321,7 +326,7 @@ class Game:
             count += 1
 
     def save_picture(self, path: Path) -> None:
-        """Save the window as a picture; the file, ending in .png, appears complete or not at all.
+        """Save the window as a .png picture; an existing file is replaced, or unchanged if writing fails.
 
         Raises:
             InputError: If the file does not end in .png.

@@ -25,6 +25,10 @@ def plot_episode(episodes: Episodes, episode: int = 0, *, title: str = "") -> An
 
     For a machine with one axis, the first panel shows the position over time.
 
+    Args:
+        episode: Index of the episode, from 0.
+        title: Title above the plots. Default: none.
+
     Raises:
         ImportError: If matplotlib is not installed; the message names the extra.
         IndexError: If `episode` is out of range.
@@ -48,7 +52,11 @@ def plot_episode(episodes: Episodes, episode: int = 0, *, title: str = "") -> An
 def save_plot(path: str | Path, episodes: Episodes, episode: int = 0, *, title: str = "") -> None:
     """Save the plot of one episode (`plot_episode`) as a .png, .svg or .pdf file.
 
-    If writing fails, an existing file is unchanged.
+    Args:
+        path: File to write; its suffix selects the format. Its folder is created if necessary. An existing
+            file is replaced, or unchanged if writing fails.
+        episode: Index of the episode, from 0.
+        title: Title above the plots. Default: none.
 
     Raises:
         ImportError: If matplotlib is not installed; the message names the extra.
@@ -126,7 +134,13 @@ def _point(position: NDArray[np.float64]) -> str:
 
 
 def episode_panels(name: str, episodes: Episodes, episode: int) -> list[Panel]:
-    """Prepare the plots of an episode for the scorecard: tool path, distance over time, commands."""
+    """Prepare the plots of an episode for the scorecard: tool path, distance over time, commands.
+
+    Args:
+        name: Name of the controller, for the captions.
+        episodes: Episodes of this controller.
+        episode: Index of the episode, from 0.
+    """
     start, goal = 1e3 * episodes.position[episode, 0], 1e3 * episodes.goal[episode, -1]
     final_mm = 1e3 * float(episodes.goal_error[episode, -1])
     small = episodes.unit.small
@@ -157,7 +171,11 @@ def episode_panels(name: str, episodes: Episodes, episode: int) -> list[Panel]:
 
 
 def distance_panel(recorded: Mapping[str, Episodes]) -> Panel:
-    """Prepare a plot for the scorecard: distance to the goal in the first episode, mm, by controller."""
+    """Prepare a plot for the scorecard: distance to the goal over time in the first episode, mm or mrad.
+
+    Args:
+        recorded: Episodes by name of the controller, at least one; each is a curve.
+    """
     unit = next(iter(recorded.values())).unit
 
     def draw(axes: Any) -> None:
@@ -180,6 +198,9 @@ def distribution_panel(recorded: Mapping[str, Episodes]) -> Panel:
 
     A curve shows the fraction of the episodes that have settled until a time, or whose error is at most a
     value. It ends below 100 % if some episodes do not settle.
+
+    Args:
+        recorded: Episodes by name of the controller, at least one; each is a curve.
     """
     first = next(iter(recorded.values()))
     path, unit = first.contour is not None, first.unit
@@ -245,7 +266,12 @@ def interval_panel(title: str, unit: str, scores: Mapping[str, Mapping[str, Any]
 
 
 def success_panel(title: str, success: Mapping[str, Mapping[str, float]]) -> Panel:
-    """Prepare a bar chart for the scorecard: fraction of successful episodes by controller and band."""
+    """Prepare a bar chart for the scorecard: fraction of successful episodes by controller and band.
+
+    Args:
+        title: Caption.
+        success: Fractions, 0 to 1, by name of the controller, at least one, and of the band, such as "0.2mm".
+    """
     texts = unit_of_scores(next(iter(success.values()))).band_texts
     bands = list(texts)
 

@@ -21,7 +21,7 @@ def task_name(scores: Mapping[str, Any]) -> str:
 
 
 def unit_of_scores(names: Iterable[str]) -> AxisUnit:
-    """Determine the unit of the tool position from names of bands, such as "2mrad"; m by default."""
+    """Determine the unit of the tool position from names that end in a band, such as "2mrad"; else m."""
     endings = tuple(names)
     found = [u for u in AXIS_UNITS.values() if any(name.endswith(u.bound_band) for name in endings)]
     return found[0] if found else METERS
@@ -41,13 +41,29 @@ def settling_or_none(success: float, settling: Any) -> Any:
 
 
 def settling_in(score: Mapping[str, Any], band: str) -> Mapping[str, Any] | None:
-    """Return a controller's scores of settling times, s, within a band; None if no episode settles."""
+    """Return a controller's scores of settling times within a band, s; None if no episode settles.
+
+    Args:
+        score: Scores of a controller, as `score_episodes` returns them for moves to a goal.
+        band: Name of the band, such as "0.2mm".
+
+    Returns:
+        `mean`, `median`, `p95` and `ci95`, see `reach_metrics`.
+    """
     times: Mapping[str, Any] | None = settling_or_none(score["success"][band], score["settling_s"][band])
     return times
 
 
 def ratio_to_bounds(score: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """Return the ratio of mean settling time to mean shortest possible time, with its interval."""
+    """Return the ratio of mean settling time to mean shortest possible time, within 0.2 mm, dimensionless.
+
+    Args:
+        score: Scores of a controller, as `score_episodes` returns them.
+
+    Returns:
+        `mean` and `ci95`, see `ratio_of_means`. None if no shortest time is known, no episode settles, or the
+        task has a path.
+    """
     band = METERS.bound_band
     by_band = score.get("over_bound") or {}
     if band not in by_band or not score["success"][band]:
@@ -57,6 +73,10 @@ def ratio_to_bounds(score: Mapping[str, Any]) -> Mapping[str, Any] | None:
 
 
 def unknown_bound_reasons(scores: Mapping[str, Any]) -> list[str]:
-    """List the different reasons for missing time-optimal bounds in scores.json, in order."""
+    """List the different reasons, sentences, for which controllers have no time-optimal bounds.
+
+    Args:
+        scores: Content of scores.json (`Evaluation.scores`).
+    """
     reasons = (score.get("over_bound_reason") for score in scores["controllers"].values())
     return list(dict.fromkeys(reason for reason in reasons if reason))

@@ -63,8 +63,7 @@ def evaluate(
 ) -> Evaluation:
     """Simulate controllers on identical episodes and score them.
 
-    References:
-        Metrics: hframe_gym/evaluation/metrics.py; bounds: docs/bound.md.
+    `reach_metrics` and `track_metrics` describe the scores, docs/bound.md the time-optimal bounds.
 
     Args:
         controllers: Names of controllers (such as "pid"), agents or folders; or a mapping from names in the
@@ -76,6 +75,7 @@ def evaluate(
         randomize: Preset name or list of randomization rules for the machine's parameters.
         sensors: What controllers observe: "state" (true full state), "rig" (encoders and lasers), or a sensor
             suite.
+        episodes: Number of episodes.
         seed: Seed of the first episode; episode b has seed + b.
         period: Control period, s.
         duration_s: Length of an episode, s.
@@ -256,7 +256,7 @@ def _points(travel: Array, speed: Array) -> MotionPoint:
 def write_scores(folder: str | Path, scores: Mapping[str, Any]) -> Path:
     """Write `Evaluation.scores` to scores.json in a folder and return the path.
 
-    If writing fails, an existing file is unchanged.
+    The folder is created if necessary. An existing file is replaced, or unchanged if writing fails.
     """
     path = Path(folder) / "scores.json"
     write_text(path, json.dumps(scores, indent=2, allow_nan=False) + "\n")
@@ -280,9 +280,16 @@ def file_labels(controllers: Iterable[str]) -> list[str]:
 
 
 def write_motions(path: str | Path, episodes: Episodes, machine: Machine, count: int) -> None:
-    """Write the motion in the first `count` episodes of a controller to a table file.
+    """Write the motion in the first episodes of a controller to a CSV file.
 
-    If writing fails, an existing file is unchanged.
+    It has a row for each sample, with the columns episode (from 0), time_s, position and goal of each axis
+    (x_m, x_goal_m, or in rad) and the command of each drive as in recordings. An existing file is replaced,
+    or unchanged if writing fails.
+
+    Args:
+        path: File to write; its folder is created if necessary.
+        machine: Machine of the episodes, for the names of the columns.
+        count: Number of episodes; all if there are fewer.
     """
     axes, unit = machine.tool_axes, machine.axis_unit.name
     names = [f"{axis}_{unit}" for axis in axes] + [f"{axis}_goal_{unit}" for axis in axes]

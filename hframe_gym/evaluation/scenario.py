@@ -101,7 +101,8 @@ class Scenario:
     def controller_task(self) -> Task:
         """Copy of the task in which a controller previews one future goal per control period.
 
-        The preview extends as far, s, as that of the task. A task without preview is returned unchanged.
+        The preview extends as far into the future as that of the task. A task without preview is returned
+        unchanged.
         """
         task = as_task(self.task, self.declared_machine.axis_unit)
         if not (dataclasses.is_dataclass(task) and hasattr(task, "previews") and hasattr(task, "preview_s")):
@@ -114,9 +115,10 @@ class EpisodeConditions(NamedTuple):
     """Machine parameters, starts and goals of the B episodes of a scenario, equal for all controllers.
 
     Attributes:
+        machine: Machine before randomization, with the converters and limits of the scenario.
         parameters: Sampled values of the P parameters in the order of `Machine.parameters`, SI, shape (B, P).
-        start: Tool position at the start, m, shape (B, axes).
-        goal: Tool goal at the start, m, shape (B, axes).
+        start: Tool position at the start, m or rad, shape (B, axes).
+        goal: Tool goal at the start, m or rad, shape (B, axes).
     """
 
     machine: Machine

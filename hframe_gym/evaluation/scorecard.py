@@ -43,6 +43,8 @@ def write_scorecard(
     """Write scorecard.html: verdict, assumptions, scores, intervals, episodes, next steps; return its path.
 
     Args:
+        folder: Folder of the page, created if necessary; an existing page is replaced.
+        scores: Content of scores.json (`Evaluation.scores`).
         recorded: Recorded episodes by name of the controller, for the plots of episodes. Default: no plots.
         warnings: Sentences about results that cannot be trusted.
         machine: Name or file of the machine, for the commands on the page. Default: the machine's name.

@@ -15,9 +15,10 @@ from ..controllers import Controller
 
 
 class TimedController(Controller):
-    """A controller whose processor time is measured.
+    """A controller whose processor time is measured; its actions are those of `controller`.
 
     Attributes:
+        controller: The measured controller.
         cpu_s: Processor time of `act` so far, s.
         actions: Number of actions so far: calls of `act` times machines.
     """

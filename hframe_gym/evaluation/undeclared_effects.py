@@ -94,6 +94,7 @@ class EffectFamily:
     """An effect of the library that may act at some sites, and the distributions of its parameters.
 
     Attributes:
+        name: Name of the effect in the library.
         size: Name of the parameter that sets the strength of the effect, for example an amplitude or a limit.
         ranges: Smallest and largest absolute value of this parameter, SI, where the effect is on, by site.
         signed: Whether it is negative in half of the cases.

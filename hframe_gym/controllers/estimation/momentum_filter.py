@@ -91,6 +91,8 @@ class MomentumFilter:
         states the equations.
 
         Args:
+            before: States at the start of the period.
+            after: States at its end.
             volts: Mean voltages at the motors in the period.
             effect_force: Modeled forces of the machine's effects, including those by which effects change
                 friction.

@@ -119,6 +119,8 @@ class ParameterEstimator(ABC):
         """Update the attribute `estimates` with the measured states of the control period that has ended.
 
         Args:
+            before: States at the start of the period.
+            after: States at its end.
             actions: Voltages at the drives in the period, divided by the rated voltages, shape (B, drives).
                 With a dead time (`switch_s` > 0): the voltages before, then after, `switch_s` in the period,
                 shape (B, 2, drives).
@@ -135,11 +137,13 @@ class ParameterEstimator(ABC):
         self.memory[starts] = 0.0
 
     def parameters(self, estimates: Array) -> ParameterRows:
-        """Convert `estimates`, shape (B, size), to values of all parameters.
+        """Convert estimates to values of all parameters of the machine.
 
-        The rest are the declared values.
+        Parameters that are not estimated have their declared values.
 
-        Missing voltages among the estimates are ignored.
+        Args:
+            estimates: As the attribute `estimates`, shape (B, size). The missing voltages among them are no
+                parameters and are ignored.
         """
         return self._ratios.parameters(estimates[:, : self._offsets.start])
 

@@ -184,9 +184,8 @@ class StateEstimator:
     def reset(self, mask: Mask | None = None) -> None:
         """Discard the estimates of the machines in `mask`, which start an episode next.
 
-        If `mask` is None, discard all estimates; the number of machines may then change.
-
-        Their new estimates start from a machine at rest with the declared parameters.
+        The new estimates start from a machine at rest with the declared parameters. If `mask` is None, all
+        estimates are discarded; the number of machines may then change.
         """
         self._starts.reset(mask)
 

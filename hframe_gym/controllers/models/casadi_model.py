@@ -91,7 +91,12 @@ class SymbolicModel:
         return self._rate(state, action, time, self._parameters, self._start)
 
     def current_excess(self, state: Any, action: Any) -> list[Any]:
-        """Return the constraints (current / limit)^2 - 1 <= 0, dimensionless, of drives with a limit."""
+        """Return (current / limit)^2 - 1, which must be <= 0, dimensionless, of each drive with a limit.
+
+        Args:
+            state: State, m and m/s.
+            action: Action, dimensionless.
+        """
         voltages, point = self._voltages(action), self._point(state, 0.0)
         current = self._equations.ohmic_current
         return [(current(j, point, voltages[j]) / limit) ** 2 - 1.0 for j, limit in self._current_limits]
@@ -102,6 +107,10 @@ class SymbolicModel:
         A linear coordinate on which no drive acts, such as a carriage between stretched belts, is at rest
         only if its static friction is not less than the other forces on it. The rates in the state are taken
         as zero.
+
+        Args:
+            state: State, m and m/s.
+            time: Time since the start, s.
 
         Returns:
             Two expressions, N, for each such coordinate: f - F and -f - F, with the force f on it and its
@@ -128,7 +137,12 @@ class SymbolicModel:
 
 
 def voltage_limits(equations: Equations) -> tuple[list[Any], list[Any]]:
-    """Compute the lowest and the highest motor voltages, V, which rated commands of either sign give."""
+    """Compute the motor voltages at the rated commands, which the effects on the voltages change.
+
+    Returns:
+        Voltage of each drive at its negative rated command, then at its positive one, V: the lowest and the
+        highest. They are symbolic expressions if the parameters of the equations are.
+    """
     rated = [d.rated_voltage for d in equations.machine.drives]
     return equations.motor_voltages([-volts for volts in rated]), equations.motor_voltages(rated)
 

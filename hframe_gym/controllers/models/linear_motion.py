@@ -45,7 +45,7 @@ class LinearMotion:
         """Linearize the machines without Coulomb friction and effects; discretize them with zero-order hold.
 
         Viscous friction and motor constants are taken from the declared machine; masses, belts and radii from
-        `parameters`.
+        `parameters`. The belts have the stiffness that they have at `position`.
 
         Returns:
             A: System matrices, shape (B, 2 n, 2 n).

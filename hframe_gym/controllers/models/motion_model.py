@@ -49,8 +49,9 @@ class OperatingPointGrid:
     """Grid of tool positions for which gains are designed, as the belts' stiffness depends on the position.
 
     Attributes:
-        points: Tool positions of the grid, 9 x 7 for x and y and 9 for one axis, m, shape (points, axes).
-        span: Size of the workspace along each axis, m, shape (axes,).
+        points: Tool positions of the grid, 9 x 7 for x and y and 9 for one axis, m of belt travel,
+            shape (points, axes).
+        span: Size of the workspace along each axis, m of belt travel, shape (axes,).
 
     Raises:
         InputError: If an axis has no range.
@@ -166,11 +167,15 @@ class MotionModel:
         return (state / self._scale)[:, np.argsort(self._order)]
 
     def axis_travel(self, position: NDArray[Any]) -> ToolPositions:
-        """Convert the tool `position` of an environment, m or rad, shape (..., axes), to belt travel."""
+        """Convert the tool `position` of an environment, m or rad, shape (..., axes), to belt travel, m."""
         return np.asarray(position, np.float64) * self.axis_radii
 
     def goal_state(self, goal: NDArray[Any]) -> TravelStates:
-        """Compute the states at rest with unstretched belts at a tool position `goal`, m, shape (B, axes)."""
+        """Compute the states at rest with unstretched belts at tool positions.
+
+        Args:
+            goal: Tool positions, m of belt travel (`axis_travel`), shape (B, axes).
+        """
         travel = np.asarray(goal, np.float64) @ self.rigid.T
         return np.concatenate([travel, np.zeros_like(travel)], axis=1)
 

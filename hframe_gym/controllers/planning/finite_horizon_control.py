@@ -99,6 +99,15 @@ class TransferDesign:
     A transfer is a motion that brings the machine to rest at its goal. An operating point is a tool position
     at which the machine is linearized.
 
+    Args:
+        model: Model of the machine, with n coordinates.
+        period: Control period, s.
+
+    Attributes:
+        grid: Operating points.
+        shortest: Number of periods of the shortest transfer.
+        longest: Number of periods of the longest one.
+
     Raises:
         InputError: If the period is not positive, or the machine's workspace has no range.
     """

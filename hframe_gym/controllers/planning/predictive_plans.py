@@ -60,6 +60,8 @@ class ArrivalPlanner:
     """Planner of motions to a goal at rest, for B machines with different parameters.
 
     Args:
+        model: Model with the coordinates, drives and axes of the machines.
+        period: Control period, s.
         longest: Largest number of periods until the tool arrives.
     """
 
@@ -81,6 +83,7 @@ class ArrivalPlanner:
             matrices: A, B and E of the model, next error = A error + B voltages + E force, in m, s, V and N,
                 of the shapes (B, 2 n, 2 n), (B, 2 n, drives) and (B, 2 n, n); `LinearMotion.matrices`
                 computes them.
+            error: State minus the state at rest at the goal.
             force: Force on each coordinate until the tool arrives, for example friction.
         """
         A, pulse, force_response = scaled_matrices(*matrices)
@@ -207,7 +210,13 @@ def _least_squares_within_limits(R: Array, c: Array) -> Array:
 
 
 class PlanSimulation:
-    """Simulation of plans of voltages for B machines, and improvement of plans by simulations."""
+    """Simulation of plans of voltages for B machines, and improvement of plans by simulations.
+
+    Args:
+        model: Model of the machines with n coordinates.
+        period: Control period, s.
+        periods: Largest number of periods of a plan.
+    """
 
     def __init__(self, model: MotionModel, period: float, periods: int) -> None:
         self._model, self.periods, self._motion = model, periods, SimulatedMotion(model)

@@ -197,8 +197,8 @@ class TimeOptimalReach:
         """Compute the fastest motion from rest with unstretched belts to the band around the goal.
 
         Args:
-            start: Tool position at the start, m, shape (axes,).
-            goal: Tool position of the goal, m, shape (axes,).
+            start: Tool position at the start, m or rad, shape (axes,).
+            goal: Tool position of the goal, m or rad, shape (axes,).
             parameters: All parameters in the order of `Machine.parameters`, SI, shape (P,). Default: the
                 machine's.
             guesses: Initial guesses of the duration T of the motion, as multiples of the estimated time with

@@ -108,7 +108,10 @@ class KernelSource:
     # -- constants of a step ---------------------------------------------------------------------------------
 
     def trace_constants(self, trace: Trace) -> Trace:
-        """Trace the constants that depend on parameters and the step length only; return the trace."""
+        """Trace the generated function `prepare`: constants that depend on parameters and step length only.
+
+        Return the trace, to which the statements are appended.
+        """
         for name, value in self.step_constants(trace, self._equations(trace), trace.argument("h")):
             trace.store("derived", self.layout.derived[name], value)
         return trace

@@ -27,6 +27,7 @@ class LaneProgram:
 
     Args:
         text: Source text; `lane_compiler` describes the language.
+        names: Names of the functions in it.
 
     Attributes:
         addresses: Address of each function by name, for `call_at`.

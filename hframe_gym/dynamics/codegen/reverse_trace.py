@@ -130,7 +130,15 @@ class ReverseTrace(Trace):
         self.stored[array, int(row)] = self.expression(value)
 
     def operations(self, formula: str, *operands: Any) -> tuple[Expression, ...]:
-        """Expand the friction formula "stop_or_reverse", which has several results, to single operations."""
+        """Expand the friction formula "stop_or_reverse", which has several results, to single operations.
+
+        Args:
+            formula: "stop_or_reverse".
+            *operands: Its arguments.
+
+        Returns:
+            Expression of each result, final speed and distance.
+        """
         return tuple(_EXPANDED[formula](*operands))
 
     def read(self, array: str, row: int) -> Expression:

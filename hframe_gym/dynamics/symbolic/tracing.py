@@ -136,6 +136,8 @@ class Trace:
         """Append a statement to the generated function that calls a function with several return values.
 
         Args:
+            function: Name of the function in the source text.
+            *arguments: Its arguments: expressions and finite numbers.
             results: For each returned value, the name of its variable in two parts: role ("speed") and index,
                 or None.
 

@@ -48,7 +48,7 @@ class Curve:
     """Ordinates of a table at k knots of one variable, with their uncertainty.
 
     Attributes:
-        knots: Increasing values of the variable, shape (k,).
+        knots: Increasing values of the variable, in its unit (SI), shape (k,).
         values: Ordinates, N or Nm, shape (k,).
         covariance: Covariance of the ordinates, shape (k, k).
         absorbed: Curves at the knots that other parameters of the machine can represent, for example a
@@ -118,6 +118,7 @@ class Formula:
     """Sum of terms with fitted parameters.
 
     Attributes:
+        terms: The terms.
         amplitudes: Amplitudes of all columns, term after term, N or Nm divided by a power of the variable's
             unit.
         shapes: Shape parameters by term, in the unit of the variable.

@@ -35,7 +35,7 @@ class StateView:
     """Select n positions and velocities of the state for an observation; the first are the tool position.
 
     Attributes:
-        size: Number of entries n.
+        size: Number of entries n of the signals.
         bounds: Lower, then upper bounds of the entries (m, rad, m/s or rad/s), rounded to float32,
             shape (2 n, LANES).
         program: Compiled function `observe`.
@@ -165,7 +165,7 @@ class ObservationBuilder:
             observation[key] = np.empty(shape, _FLOAT32)
 
     def tool_array(self, observation: Observation) -> NDArray[np.float32]:
-        """Return the array into which `write` is to put the true tool positions, m, shape (count, axes).
+        """Return the array into which `write` puts the true tool positions, m or rad, shape (count, axes).
 
         If the true state is observed, it is `achieved_goal` of the observation; if sensors are observed, it
         is a new array.
@@ -188,8 +188,8 @@ class ObservationBuilder:
 
         Args:
             observation: Output; rows of other blocks are not changed.
-            tool: Output, true tool positions, m, shape (count, axes); `achieved_goal` itself if the state is
-                observed.
+            tool: Output, true tool positions, m or rad, shape (count, axes); `achieved_goal` itself if the
+                state is observed.
             evaluation: The last arguments of `evaluate_rows`, with two output arrays, shape (count,) each:
                 distances, m or rad, and rewards. Default: neither is computed.
 
@@ -253,9 +253,9 @@ class ObservationBuilder:
         )
 
     def write_tool(self, first: int, last: int, tool: NDArray[np.float32]) -> None:
-        """Write the true tool positions of blocks `first` to `last` - 1 to `tool`, m, shape (count, axes).
+        """Write the true tool positions of blocks `first` to `last` - 1 to `tool`.
 
-        They are limited to the bounds of the observation space.
+        They are in m or rad, of shape (count, axes). They are limited to the bounds of the observation space.
         """
         self._observe(first, last, self._tool, tool, tool)
 

@@ -239,11 +239,12 @@ class PositionFromSensors:
     """Map the measurements of n sensors to the tool position.
 
     Attributes:
-        belts: Matrix from the n measurements to the tool position (m) with unstretched belts,
+        belts: Matrix from the n measurements to the tool position (m or rad) with unstretched belts,
             shape (axes, n). It uses the sensors of other coordinates (encoders); zero where these do not
             determine the axis.
         direct: Index of the sensor that measures each axis itself, -1 if there is none, shape (axes,).
-        scale: Factor from the measurement of the sensor `direct` to the tool position (m), shape (axes,).
+        scale: Factor from the measurement of the sensor `direct` to the tool position (m or rad), 1 if there
+            is none, shape (axes,).
     """
 
     belts: Array

@@ -381,22 +381,22 @@ class ObservationFormat:
         return restored
 
     def goal_normalization(self) -> NDArray[np.float32]:
-        """Return the centers (row 0) and scales (row 1) that normalize goals, m, shape (2, axes).
+        """Return the centers (row 0) and scales (row 1) that normalize goals, m or rad, shape (2, axes).
 
-        Without the option `normalize`, the scales are 0: goals are then observed in meters.
+        Without the option `normalize`, the scales are 0: goals are then observed in m or rad.
         """
         center, scale = self._center["desired_goal"], self._scale["desired_goal"]
         return np.stack([center, scale if self.normalize else np.zeros_like(scale)])
 
     def goal_in_axis_unit(self, goal: ArrayLike) -> NDArray[np.float32]:
-        """Convert an observed `goal`, m or normalized, shape (axes,) or (n, axes), to m, float32."""
+        """Convert an observed `goal`, shape (axes,) or (n, axes), to m or rad, float32."""
         values = np.asarray(goal, np.float32)
         return (
             values * self._scale["desired_goal"] + self._center["desired_goal"] if self.normalize else values
         )
 
     def goal_as_observed(self, goal: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Convert a `goal`, m, float32, shape (n, axes), to observed ones, possibly normalized; a copy."""
+        """Convert a `goal`, m or rad, float32, shape (n, axes), to one as observed (`normalize`); a copy."""
         return self._normalized("desired_goal", goal) if self.normalize else goal.copy()
 
 

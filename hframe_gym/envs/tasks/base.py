@@ -67,9 +67,9 @@ class Task(ABC):
         return {}
 
     def check(self, workspace: Workspace) -> None:  # noqa: B027  (optional)
-        """Check that starts and goals of the task lie in the workspace.
+        """Check that starts and goals of the task lie in the workspace; an InputError if not.
 
-        Environments call it when they are created.
+        Environments call it when they are created. This default checks nothing.
         """
 
     @abstractmethod
@@ -237,7 +237,7 @@ class ReferenceTrajectories:
         self._fixed_goals[index] = self._task.goal(plans, np.zeros(len(index)))
 
     def goals(self, index: Index | slice) -> NDArray[np.float32]:
-        """Compute the present goals of k environments, m, float32, shape (k, axes), a new array."""
+        """Compute the present goals of k environments, m or rad, float32, shape (k, axes), a new array."""
         if not self.moving:
             return np.array(self._fixed_goals[index])
         return self._task.goal(self._plans[index], self._elapsed_s[index]).astype(np.float32)
@@ -245,9 +245,9 @@ class ReferenceTrajectories:
     def add_blank(self, observation: dict[str, NDArray[np.float32]]) -> None:
         """Add arrays for the goals to `observation`; `write` fills them.
 
-        `desired_goal`, m, shape (count, axes), is added and, for a task with p future goals, `preview`, m,
-        shape (count, axes * p). They are not initialized, unless goals do not move: `desired_goal` then
-        already holds the goals.
+        `desired_goal`, m or rad, shape (count, axes), is added and, for a task with p future goals,
+        `preview`, m or rad, shape (count, axes * p). They are not initialized, unless goals do not move:
+        `desired_goal` then already holds the goals.
         """
         if not self.moving:
             observation["desired_goal"] = self._fixed_goals.copy()
@@ -262,9 +262,9 @@ class ReferenceTrajectories:
         """Write the present and future goals of k environments to an observation.
 
         Args:
-            observation: Arrays by key. Two are written: `desired_goal`, m, shape (count, axes), and, for a
-                task with p future goals, `preview`, m, shape (count, axes * p): all axes of the first future
-                goal, then of the second, ...
+            observation: Arrays by key. Two are written: `desired_goal`, m or rad, shape (count, axes), and,
+                for a task with p future goals, `preview`, m or rad, shape (count, axes * p): all axes of the
+                first future goal, then of the second, ...
         """
         if not self.moving:
             observation["desired_goal"][index] = self._fixed_goals[index]
@@ -282,16 +282,17 @@ class ReferenceTrajectories:
     def path(self, b: int, elapsed_s: Array) -> NDArray[np.float32]:
         """Compute the goals of environment b at times `elapsed_s`, s, shape (n,).
 
-        They are in m, of shape (n, axes), or (0, axes) if the goal is at rest.
+        They are in m or rad, of shape (n, axes), or (0, axes) if goals do not move.
         """
         if not self.moving:
             return np.zeros((0, self._fixed_goals.shape[1]), np.float32)
         return self._task.goal(self._plans[b : b + 1], elapsed_s[None])[0].astype(np.float32)
 
     def contour(self, index: Index | slice, tools: Array) -> Array | None:
-        """Compute the distances of tool positions `tools`, m, shape (k, axes), to the path.
+        """Compute the distances of tool positions to the path, m or rad, shape (k,); None without a path.
 
-        None without a path.
+        Args:
+            tools: Positions of the tool in these k environments, m or rad, shape (k, axes).
         """
         if self._task.metrics != "track":
             return None

@@ -106,7 +106,7 @@ def _write_points(s: Any, curve: Any, points: Any) -> None:
 
 @compiled_only
 def point_at(s: float, curve: Any) -> Any:
-    """Compute the point (x, y), m, of a curve at an arc length `s`, m; for compiled functions only."""
+    """Compute the point (x, y), m, of a `CurveData` at an arc length `s`, m; for compiled functions only."""
     if curve.radius > 0.0:
         cosine, sine = cos_sin_of_turns(s * (1.0 / curve.vertex_s[-1]))
         return curve.radius * cosine, curve.radius * sine

@@ -20,7 +20,10 @@ _STREAM = 7_919
 
 
 def machine_for_disturbances(machine: Machine) -> Machine:
-    """Return a copy of a machine with `constant_force` of 0 N at every tool axis, for disturbances."""
+    """Return a copy of a machine with an effect `constant_force` of 0 N at every tool axis.
+
+    The environments of a `DisturbanceWrapper` need it. An axis that has the effect keeps it.
+    """
     present = {effect.label for effect in machine.effects}
     added = [
         EFFECTS["constant_force"].at(axis, size=0.0)
@@ -76,8 +79,8 @@ class _Forces:
 class DisturbanceWrapper(gym.Wrapper):
     """Let a random force act on the tool, constant in each control period.
 
-    `info["disturbance_N"]` has the force of the step, N, shape (axes,). A seed at `reset` also determines the
-    forces. The state of `get_state` does not contain them.
+    `info["disturbance_N"]` has the force of the step along each axis, N (Nm if rotary), shape (axes,). A seed
+    at `reset` also determines the forces. The state of `get_state` does not contain them.
 
     Args:
         process: Name in `DISTURBANCES`.

@@ -31,7 +31,7 @@ class Disturbance(Protocol):
             generator: Random numbers.
 
         Returns:
-            Forces along the axes, N, shape (environments, axes).
+            Forces along the axes, N, or torques about rotary ones, Nm, shape (environments, axes).
         """
 
     def follow(self, forces: Array, period: float, generator: np.random.Generator) -> Array:

@@ -42,6 +42,9 @@ class StepRecord:
     """The last step of a batch of environments.
 
     Attributes:
+        batch: The environments after the step.
+        actions: Voltages in the step as fractions of the rated ones, in [-1, 1], shape (count, drives).
+        last_actions: Those of the step before, 0 at the start of an episode, shape (count, drives).
         period: Length of the step, s.
     """
 
@@ -67,12 +70,15 @@ class StepRecord:
 
     @cached_property
     def tool_positions(self) -> Array:
-        """True positions of the tool, m, shape (count, axes)."""
+        """True positions of the tool, m or rad, shape (count, axes)."""
         return self.batch.simulator.tool_positions()
 
     @cached_property
     def tool_velocities(self) -> Array:
-        """True velocities of the linear coordinates of the tool axes, m/s, shape (count, axes)."""
+        """True velocities of the coordinates of the tool axes, m/s, shape (count, axes).
+
+        That of a rotary axis is the rate of its belt travel, radius * rad/s.
+        """
         names = self.batch.machine.coordinate_names
         return np.stack(
             [self._point.speed[names.index(axis)] for axis in self.batch.machine.tool_axes], axis=1
@@ -99,6 +105,7 @@ def quantity(name: str, unit: str, largest: float) -> Callable[[Callable[[StepRe
     """Return a decorator that registers a function of `StepRecord` as a quantity.
 
     Args:
+        name: Name under which penalties, costs and observations select the quantity.
         unit: Unit of the quantity, "1" if dimensionless.
         largest: Typical largest value, in the unit.
 

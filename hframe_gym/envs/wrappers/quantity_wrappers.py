@@ -276,6 +276,9 @@ class ObserveQuantities(_Recording):
     Each is divided by its typical largest value and limited to [-10, 10]. At the beginning of an episode they
     are those of the start with actions of zero.
 
+    Args:
+        names: Names in `QUANTITIES`, at least one, in the order of the entries.
+
     Raises:
         InputError: If a name is unknown or the environment is of another package.
     """

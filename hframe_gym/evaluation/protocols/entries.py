@@ -32,6 +32,7 @@ class Entry(NamedTuple):
         sha256: Hash of everything that determines the entry: files of an agent; source, files and weights of
             a controller.
         algorithm: Training algorithm, for example "ppo"; empty for a controller.
+        model: What it knows of the declared machine, in a few words.
         observes: "state", "measurements", or "Kalman estimates" (`StateEstimator` of the package).
         training_steps: Environment steps of its training; None if unknown or without training.
         training_cpu_s: Processor time of its training, s; None if unknown or without training.
@@ -110,6 +111,7 @@ def make_entry(name: str, protocol: Protocol, part: str) -> tuple[Entry, Control
     Args:
         name: Controller such as "pid", agent or its folder, model.zip, or folder with one of them for each
             task.
+        part: Name of the part, such as "reach".
 
     Raises:
         InputError: If the name is unknown or the controller cannot run on the task.
@@ -142,7 +144,15 @@ def make_entry(name: str, protocol: Protocol, part: str) -> tuple[Entry, Control
 
 
 def agent_of_task(collection: Path, task: str) -> Path | None:
-    """Return the folder or the model.zip of a task's agent in a folder of several agents, or None."""
+    """Return the agent of a task in a folder of several agents: its folder, or else its .zip file.
+
+    Args:
+        collection: Folder with one agent per task, named by the task: "reach" or "reach.zip".
+        task: Name of the task, such as "reach".
+
+    Returns:
+        Path of the agent; None if the folder has neither.
+    """
     folder, file = collection / task, collection / f"{task}.zip"
     return folder if folder.is_dir() else file if file.is_file() else None
 

@@ -57,6 +57,7 @@ class Protocol:
         parts: Tasks by the name of the part, each scored separately.
         digest: First 16 hexadecimal digits of a SHA-256 of the settings and of all draws.
         summary: What the benchmark asks for, one sentence.
+        machine: Name of the preset of the declared machine.
         randomize: Name of the randomization preset of the simulated machine.
         undeclared_effects: Whether each draw also has effects that the declared machine lacks.
         sensors: What controllers observe, "state" or "rig".

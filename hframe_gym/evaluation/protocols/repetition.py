@@ -44,6 +44,10 @@ def compare_draws(result: ResultFile, draws: Mapping[str, Draws]) -> Comparison:
     %. A file is therefore reproduced if two conditions hold: few draws differ by more than the tolerances,
     and the sum of a metric's differences is no larger than it would be with random signs. Edited draws, in
     contrast, are all better, so that more than a handful are detected.
+
+    Args:
+        result: Content of the result file.
+        draws: Values of the repeated run by part and by metric, as `run_protocol` returns them.
     """
     protocol = get_protocol(result.protocol)
     count = equal = 0

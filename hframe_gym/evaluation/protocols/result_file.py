@@ -91,9 +91,10 @@ class ResultFile(_Strict):
 
 
 def result_content(protocol: Protocol, entry: Entry, draws: Mapping[str, Draws]) -> dict[str, Any]:
-    """Build the content of a result file, a `ResultFile` without `about`: an entry's scores in a protocol.
+    """Build the content of a result file, a `ResultFile` with an empty `about`: an entry's scores.
 
     Args:
+        protocol: The protocol of the draws.
         entry: The controller or agent that was scored.
         draws: Values of all episodes of the protocol ("draws"): by part (task) and by metric, such as
             `final_error_mm`, a list with one value per episode, mm or s.
@@ -133,7 +134,10 @@ def result_file_name(content: Mapping[str, Any]) -> str:
 def write_result(folder: str | Path, content: Mapping[str, Any]) -> Path:
     """Write the result of `result_content` to PROTOCOL_ENTRY.json in a folder; return the path of the file.
 
-    If this fails, an existing file stays unchanged.
+    The folder is created if necessary. An existing file is replaced, or unchanged if writing fails.
+
+    Args:
+        content: The result; `about` may be added to it.
     """
     path = Path(folder) / result_file_name(content)
     head = {key: value for key, value in content.items() if key != "draws"}
