@@ -206,17 +206,24 @@ class StepRewards:
         _evaluate_step(tool, achieved, desired, *constants, self._potential, distance, reward)
 
     def keep_goals(self, observation: Mapping[str, Positions]) -> None:
-        """Store the goals after a step, shape (count, axes), for the next step's `info`.
+        """Store the goals after a step for the `info` of the next one.
 
-        Call it with the `observation` once per step if the attribute `compares_steps` is True (reward
-        "progress").
+        Call it once per step if the attribute `compares_steps` is True (reward "progress").
+
+        Args:
+            observation: Observation after the step, of which `achieved_goal` and `desired_goal`, m or rad,
+                shape (count, axes), are used.
         """
         self._before, self._after = self._after, {key: observation[key].copy() for key in self._keys}
 
     def of_step(self, observation: Mapping[str, Positions]) -> Array:
         """Compute the rewards of the last step, shape (count,), if the attribute `compiled` is False.
 
-        Call it with the `observation` after the step, and after `keep_goals` if `compares_steps` is True.
+        Call `keep_goals` before if `compares_steps` is True.
+
+        Args:
+            observation: Observation after the step, of which `achieved_goal` and `desired_goal`, m or rad,
+                shape (count, axes), are used.
         """
         achieved, desired = (
             self._format.goal_as_observed(observation[f"{key}_goal"]) for key in ("achieved", "desired")

@@ -78,7 +78,11 @@ class DriveKind:
 
     @classmethod
     def unit(cls, coordinate: CoordinateKind) -> str:
-        """Return the unit of the command, given the kind of the coordinate that the drive moves."""
+        """Return the unit of the command, such as "V", "A" or, for a position of a rotary coordinate, "rad".
+
+        Args:
+            coordinate: Kind of the coordinate that the drive moves.
+        """
         return FIXED_UNITS.get(cls.command) or UNITS[coordinate][cls.command]
 
 

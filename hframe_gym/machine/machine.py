@@ -347,7 +347,11 @@ class Machine:
         return name, factor
 
     def with_tied(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Add the values of tied parameters (`ties`) to parameter values, numbers or arrays, by full name."""
+        """Return parameter values together with those of the parameters tied to them (`ties`).
+
+        Args:
+            values: Values by full name, SI: numbers or arrays.
+        """
         owners = {tied: self.untied(tied) for tied in self.ties}
         return {**values, **{n: factor * values[o] for n, (o, factor) in owners.items() if o in values}}
 

@@ -85,7 +85,12 @@ class StageGeometry:
         return [(x - 0.03, self.y0 - 0.03, x + 0.03, self.y1 + 0.03) for x in (self.x0, self.x1)]
 
     def bridge(self, x: float, y: float) -> list[Box]:
-        """Compute rectangles of the bridge's parts with the tool at `x`, `y`, m; none for a single axis."""
+        """Compute two opposite corners (x, y), m, of each of the bridge's parts; none for a single axis.
+
+        Args:
+            x: Tool position along x, m.
+            y: Tool position along y, m.
+        """
         if self.bridge_axis is None:
             return []
         u, (first, last) = (x, (self.y0, self.y1)) if self.bridge_axis == 0 else (y, (self.x0, self.x1))

@@ -177,6 +177,7 @@ class Equations(SignalEquations):
         """Return a drive's current, including its law and effects such as a limit or inductance.
 
         Args:
+            j: Index of the drive.
             point: Belt travel (position, or radius * angle of a pulley), m, and its rate, m/s, of every
                 coordinate, and the states of the effects.
             motor_voltages: Voltage at each motor, V: floats, arrays of one shape or symbolic expressions.

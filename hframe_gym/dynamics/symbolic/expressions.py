@@ -26,18 +26,18 @@ class Recorder(Protocol):
     statements: list[Statement]
 
     def node(self, operation: str, *operands: Any) -> Expression:
-        """Return the expression of an operation."""
+        """Return the expression of an operation, see `tracing.Trace.node`."""
 
     def expression(self, value: Any) -> Expression:
-        """Convert a number to an expression; return an expression unchanged."""
+        """Convert a finite number to an expression; return an expression unchanged."""
 
     def let(self, role: str, index: int, value: Any) -> Expression:
-        """Give an expression a name in the source text."""
+        """Give an expression the name role_index in the source text, see `tracing.Trace.let`; return it."""
 
     def update_if_any(
         self, condition: Expression, values: Sequence[Any], update: Callable[[Sequence[Any]], Sequence[Any]]
     ) -> list[Expression]:
-        """Append a block that updates values only if a condition is true for one of the machines."""
+        """Append a block that updates values where a condition is true, see `tracing.Trace.update_if_any`."""
 
 
 class Expression:

@@ -93,7 +93,16 @@ class SensorArray:
         index: Index,
         block_ranges: Iterable[tuple[int, int]],
     ) -> None:
-        """Take first measurements in new episodes of k environments, in `block_ranges`; rates are zero."""
+        """Take the first measurements in new episodes of k environments.
+
+        They are put in both rows of `measurements`, so that rates are zero; other environments keep theirs.
+
+        Args:
+            readings: Ideal readings at the start, delays included.
+            elapsed: Number of control periods since the reset; it selects the random numbers.
+            index: The k environments.
+            block_ranges: Their blocks, as `batched_simulator.block_ranges` returns them.
+        """
         measured, unused = np.empty_like(self.measurements)
         for first, last in block_ranges:
             self._measure(readings, elapsed, first, last, measured, unused)
