@@ -382,8 +382,11 @@ def _length_changes(belt: Belt, machine: Machine) -> bool:
     return any(bool(b.length) for b in (belt, *tied))
 
 
-def _drives_that_set_units(machine: Machine) -> set[str]:
-    """Return the first drives of groups of coordinates between which forces act, without sensor of forces."""
+def coupled_coordinates(machine: Machine) -> dict[str, set[str]]:
+    """Return, for each coordinate, the names of those between which forces act, with its own.
+
+    A common factor of all forces, masses and torque constants of such a group leaves its motion unchanged.
+    """
     links = [set(belt.extension) for belt in machine.belts]
     links += [
         {e.coordinate, machine.coordinate_of_site(e.site, e.definition.site) or e.coordinate}
@@ -394,6 +397,12 @@ def _drives_that_set_units(machine: Machine) -> set[str]:
     for link in links:
         joined = set().union(*(group[name] for name in link if name in group))
         group |= dict.fromkeys(joined, joined)
+    return group
+
+
+def _drives_that_set_units(machine: Machine) -> set[str]:
+    """Return the first drives of groups of coordinates between which forces act, without sensor of forces."""
+    group = coupled_coordinates(machine)
     scaled = {machine.coordinate_of_sensor(s) for s in machine.sensors if s.sensed.is_force}
     first = set()
     for drive in machine.drives:

@@ -12,11 +12,12 @@ from ...web_page import number
 from ..judge.criteria import SelectionCriteria
 from .curves import run_ratio
 from .document import Report
-from .parameter_diagnostics import parameter_doubts
+from .parameter_diagnostics import parameter_doubts, with_structure_of
 from .remainder import NOTICEABLE_ERROR, cause_of_remainder, parts_of_remainder
 from .result_curves import RunCurves
 from .rows import EffectRow
 from .saved_result import SavedResult
+from .unequal_belts import unequal_belts
 from .units import percent, readable_unit
 from .verdict_words import (
     dependence_sentences,
@@ -51,7 +52,11 @@ def answers(
     """
     report = saved.report
     return {
-        "What is wrong": [*unknown_voltages(report), *undeclared_friction(report), *_wrong(saved)],
+        "What is wrong": [
+            *unknown_voltages(report),
+            *undeclared_friction(report),
+            *wrong_with_declared(saved),
+        ],
         "How sure": [*unfinished_search(report), *_certainty(saved, effects)],
         "How much is left": [*_left(report), *_left_at_belts(saved)],
         "On which run": _worst_run(saved, runs),
@@ -59,23 +64,24 @@ def answers(
     }
 
 
-def _wrong(saved: SavedResult) -> list[str]:
+def wrong_with_declared(saved: SavedResult) -> list[str]:
     """Return what is wrong with the declared machine."""
     report = saved.report
+    belts = [pair.sentence() for pair in unequal_belts(saved.machine, saved.declared, _CHANGED_STDS)]
     if report.verdict == "effect_found":
-        return [f"{found_effects(report)}.", *_changes(saved)]
+        return [f"{found_effects(report)}.", *_changes(saved), *belts]
     if report.verdict == "no_effect":
         nothing = "No effect was found." if cause_of_remainder(report) else "No effect is missing."
         changes = _changes(saved) or ["No parameter differs clearly from its declared value."]
-        return [nothing, *hidden_effects(report), *changes]
+        return [nothing, *hidden_effects(report), *changes, *belts]
     unknown = "The model lacks something that no known effect explains."
     return [unknown, *dependence_sentences(report), *nearest_effects(report)]
 
 
 def _changes(saved: SavedResult) -> list[str]:
     """Return a sentence about the reliable parameters that differ most from their declared values."""
-    machine, declared = saved.machine, saved.declared
-    doubts = parameter_doubts(machine, declared)
+    machine, doubts = saved.machine, parameter_doubts(saved.machine, saved.declared)
+    declared = with_structure_of(machine, saved.declared)
     changes = {}
     for name, reasons in doubts.items():
         before = declared.parameters.get(name)

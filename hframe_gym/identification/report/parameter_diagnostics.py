@@ -10,12 +10,12 @@ from ...machine import Machine, Uncertainty
 from ..predict.free_parameters import FreeParameter, default_free_parameters, rated_force
 from .inseparable_parameters import inseparable_parameters
 
+# A standard deviation beyond this fraction of the prior's: the data hardly added to the declared value.
+PRIOR_DOMINATES = 0.6
 # Thresholds beyond which a parameter is reported as doubtful.
 _POOR_RELATIVE_STD = 0.2
 _POOR_PHASE_STD = 0.3  # rad
 _HIGH_CORRELATION = 0.95
-# A standard deviation beyond this fraction of the prior's: the data hardly added to the declared value.
-_PRIOR_DOMINATES = 0.6
 _BOUND_TOLERANCE = 1e-6  # relative
 # Friction that is declared as zero is reported beyond this many standard deviations of its prior, and of its
 # estimate.
@@ -44,6 +44,21 @@ class UndeclaredFriction:
     std: float | None
     unit: str
     share: float | None
+
+
+def with_structure_of(machine: Machine, declared: Machine) -> Machine:
+    """Return a declared machine with the effects of an identified one that change its components.
+
+    Such an effect may divide a belt at its idlers, or take from a motor the inertia of what it adds. Values
+    of an identified machine can be compared with those of a machine with the same components only.
+
+    Args:
+        machine: Identified machine.
+        declared: Machine as it was declared.
+    """
+    known = {effect.label for effect in declared.effects}
+    structural = (e for e in machine.effects if e.definition.structure and e.label not in known)
+    return declared.with_effects(*structural)
 
 
 def undeclared_friction(machine: Machine, declared: Machine) -> tuple[UndeclaredFriction, ...]:
@@ -93,6 +108,7 @@ def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
         and torque constants come first: users know them better than friction and back-EMF.
     """
     described = {}
+    declared = with_structure_of(machine, declared)
     for parameter in default_free_parameters(declared):
         value = machine.parameters.get(parameter.name)
         if value is None:
@@ -131,7 +147,7 @@ def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
     return dict(sorted(described.items(), key=lambda item: not _is_known(item[0])))
 
 
-def _is_limited(parameter: FreeParameter, value: float) -> bool:
+def is_limited(parameter: FreeParameter, value: float) -> bool:
     """Return whether a limit of the fit determines a value; a plain fit may lie beyond it, having none."""
     theta = parameter.theta(value)
     return parameter.at_limit(theta) and not parameter.beyond_limit(theta)
@@ -184,8 +200,8 @@ def parameter_doubts(machine: Machine, declared: Machine) -> dict[str, list[str]
         return {}
     doubts: dict[str, list[str]] = {name: [] for name in machine.uncertainty.names}
     _add_bound_doubts(machine, doubts)
-    for parameter in default_free_parameters(declared):
-        if parameter.name in doubts and _is_limited(parameter, machine.parameters[parameter.name]):
+    for parameter in default_free_parameters(with_structure_of(machine, declared)):
+        if parameter.name in doubts and is_limited(parameter, machine.parameters[parameter.name]):
             doubts[parameter.name].append("at the limit of the fit")
     separable = dict(doubts)
     for group in inseparable_parameters(machine, declared):
@@ -217,7 +233,7 @@ def _add_precision_doubts(
         value, std = machine.parameters[name], uncertainty.std(name) or 0.0
         prior = priors.get(name)
         limit = _POOR_PHASE_STD if roles.get(name) == "phase" else _POOR_RELATIVE_STD * abs(value)
-        if prior is not None and std > _PRIOR_DOMINATES * prior.prior_std(value):
+        if prior is not None and std > PRIOR_DOMINATES * prior.prior_std(value):
             reasons.append("determined by the declared value more than by the data")
         elif std > limit:
             reasons.append("poorly determined")

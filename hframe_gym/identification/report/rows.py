@@ -12,7 +12,7 @@ from ...machine import Machine, written_unit
 from ...web_page import number
 from .document import Report
 from .inseparable_parameters import sum_text
-from .parameter_diagnostics import parameter_doubts
+from .parameter_diagnostics import parameter_doubts, with_structure_of
 from .units import percent
 
 
@@ -130,13 +130,19 @@ def parameter_rows(machine: Machine, declared: Machine) -> list[ParameterRow]:
     if machine.uncertainty is None:
         return []
     doubts = parameter_doubts(machine, declared)
+    added = {effect.label for effect in machine.effects} - {effect.label for effect in declared.effects}
+    before = {
+        name: value
+        for name, value in with_structure_of(machine, declared).parameters.items()
+        if name.rpartition(".")[0] not in added
+    }
     return [
         ParameterRow(
             name=name,
             value=f"{machine.parameters[name]:.5g}",
             std=f"{machine.uncertainty.std(name):.2g}",
             unit=written_unit(machine.unit(name)),
-            declared=f"{declared.parameters[name]:.5g}" if name in declared.parameters else "",
+            declared=f"{before[name]:.5g}" if name in before else "",
             doubt="; ".join(doubts[name]),
         )
         for name in machine.uncertainty.names

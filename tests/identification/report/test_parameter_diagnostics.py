@@ -18,6 +18,7 @@ from hframe_gym.identification.report.parameter_diagnostics import (
     parameters_at_limit,
     undeclared_friction,
 )
+from hframe_gym.identification.report.rows import parameter_rows
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, Uncertainty
 from hframe_gym.recordings import Recording
 
@@ -28,7 +29,8 @@ def with_standard_deviations(
     """Attach relative standard deviations by parameter name; the first two parameters are correlated."""
     std = np.array([relative * machine.parameters[name] for name, relative in relative_std.items()])
     correlations = np.eye(len(std))
-    correlations[0, 1] = correlations[1, 0] = correlation
+    if correlation:
+        correlations[0, 1] = correlations[1, 0] = correlation
     return machine.replace(uncertainty=Uncertainty(tuple(relative_std), np.outer(std, std) * correlations))
 
 
@@ -203,3 +205,18 @@ def test_every_parameter_at_the_limit_of_the_fit_is_reported(axis: Machine, name
 
 def test_machine_without_uncertainty_has_no_doubts(axis: Machine) -> None:
     assert parameter_doubts(axis, axis) == {}
+
+
+def test_a_belt_that_idlers_divide_is_compared_with_its_declared_section() -> None:
+    declared = BUILTIN_MACHINES["hframe"]()
+    idlers = EFFECTS["idler_inertia"].at("machine", J_left=2e-5, J_right=2e-5, B_left=1e-5, B_right=1e-5)
+    divided = declared.with_effects(idlers)
+    assert divided.parameters["left.rest_length"] < 0.6 * declared.parameters["left.rest_length"]
+    assert parameters_at_limit(divided, declared) == {}
+    longer = divided.replace({"left.rest_length": 1.6 * divided.parameters["left.rest_length"]})
+    assert "is 1.6 times its declared value" in parameters_at_limit(longer, declared)["left.rest_length"]
+    (row,) = parameter_rows(with_standard_deviations(longer, {"left.rest_length": 0.01}), declared)
+    assert row.declared == f"{divided.parameters['left.rest_length']:.5g}"
+    named = f"{idlers.label}.J_left"
+    (row,) = parameter_rows(with_standard_deviations(divided, {named: 0.01}), declared)
+    assert (row.name, row.declared) == (named, "")
