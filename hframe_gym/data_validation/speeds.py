@@ -1,9 +1,10 @@
-"""Find sensors of speeds that contradict the sensors of positions: another unit, scale or sign."""
+"""Find speeds that contradict the sensors of positions: another unit, scale or sign, or swapped sensors."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from ..arrays import Array
 from ..machine import Machine
 from ..recordings import Recording
 from .findings import Finding
-from .wiring import rigid_prediction
+from .wiring import REMEDY, rigid_prediction
 
 # Fraction of a run over which motions are compared: long enough for filters of speeds and steps of positions,
 # short enough that an offset of the speed does not add up.
@@ -24,7 +25,11 @@ _CORRELATION = 0.9  # below it, something else than a factor is wrong, or the mo
 
 
 def check_speeds(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
-    """Report, as faults, sensors of signed speeds that measure a multiple of the rate of the positions."""
+    """Report, as faults, sensors of signed speeds that measure a multiple of the rate of the positions.
+
+    Two speeds are swapped if neither is the rate of the positions at its sensor and both are after an
+    exchange.
+    """
     speeds = [j for j, sensor in enumerate(machine.sensors) if sensor.of_velocity]
     positions = machine.position_sensors
     if not speeds or not positions.any():
@@ -32,17 +37,40 @@ def check_speeds(recordings: Sequence[Recording], machine: Machine) -> list[Find
     integrated = machine.replace(effects=()).with_components(
         *(dataclasses.replace(machine.sensors[j], kind="encoder") for j in speeds)
     )
+    ratios = {j: _ratio(recordings, j, positions, integrated) for j in speeds}
+    wrong = [j for j in speeds if not _agrees(ratios[j])]
     findings = []
-    for j in speeds:
-        parts = [_changes(recording, j, positions, integrated) for recording in recordings]
-        measured, expected = np.concatenate(parts).T
-        power = float(np.sqrt((measured @ measured) * (expected @ expected)))
-        if len(measured) < _MIN_WINDOWS or not power or abs(measured @ expected) < _CORRELATION * power:
-            continue
-        ratio = float(measured @ expected / (expected @ expected))
-        if not 1.0 / _LARGEST_RATIO < ratio < _LARGEST_RATIO:
-            findings.append(_finding(machine, j, ratio))
-    return findings
+    for first, second in combinations(wrong, 2):
+        exchanged = [_with_exchanged(recording, first, second) for recording in recordings]
+        if all(_agrees(_ratio(exchanged, j, positions, integrated)) for j in (first, second)):
+            names = f"{machine.sensors[first].channel} and {machine.sensors[second].channel}"
+            findings.append(Finding("fault", "", "", f"{names} are swapped: {REMEDY}"))
+            ratios |= dict.fromkeys((first, second))
+    return findings + [_finding(machine, j, ratio) for j in wrong if (ratio := ratios[j]) is not None]
+
+
+def _ratio(
+    recordings: Sequence[Recording], speed: int, positions: NDArray[np.bool_], machine: Machine
+) -> float | None:
+    """Return how many times the rate of the positions a speed is; None if it is no multiple of it."""
+    parts = [_changes(recording, speed, positions, machine) for recording in recordings]
+    measured, expected = np.concatenate(parts).T
+    power = float(np.sqrt((measured @ measured) * (expected @ expected)))
+    if len(measured) < _MIN_WINDOWS or not power or abs(measured @ expected) < _CORRELATION * power:
+        return None
+    return float(measured @ expected / (expected @ expected))
+
+
+def _agrees(ratio: float | None) -> bool:
+    """Return whether a speed is the rate of the positions, but for a small error of its scale."""
+    return ratio is not None and 1.0 / _LARGEST_RATIO < ratio < _LARGEST_RATIO
+
+
+def _with_exchanged(recording: Recording, first: int, second: int) -> Recording:
+    """Return a recording with two of its outputs exchanged."""
+    order = np.arange(recording.outputs.shape[1])
+    order[[first, second]] = second, first
+    return dataclasses.replace(recording, outputs=recording.outputs[:, order])
 
 
 def _changes(recording: Recording, speed: int, positions: NDArray[np.bool_], machine: Machine) -> Array:

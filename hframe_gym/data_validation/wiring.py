@@ -25,6 +25,7 @@ from .findings import Finding
 
 # Fractions of the squared force of the drives, or of the squared motion, as `EXPLAINED`.
 _UNEXPLAINED = 0.5  # more is unexplained by inputs or a machine of another recording
+REMEDY = "correct the columns of the file, or the declaration in machine.json"
 _TIE = 0.02  # corrections that differ by less are equally likely
 
 
@@ -176,8 +177,7 @@ def _signs_and_swaps(runs: Sequence[PreparedRecording], machine: Machine) -> lis
     if explains_instead(best, declared.unexplained):
         likely = " or ".join(label for label, each in corrected.items() if each.unexplained < best + _TIE)
         if best < EXPLAINED:
-            remedy = "correct the columns of the file, or the declaration in machine.json"
-            return [Finding("fault", "", "", f"{likely}: {remedy}")]
+            return [Finding("fault", "", "", f"{likely}: {REMEDY}")]
         fractions = (
             f"{100 * (1 - best):.0f} % of the motion instead "
             f"of {100 * max(1 - declared.unexplained, 0):.0f} %"

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.data_validation import check_before_fit, check_recordings
+from hframe_gym.data_validation.wiring import REMEDY
 from hframe_gym.dynamics import simulate
 from hframe_gym.identification import prepare
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, Sensor
@@ -61,6 +62,26 @@ def test_speeds_that_agree_with_positions_are_no_fault(factors: tuple[float, flo
 def test_a_speed_that_contradicts_the_position_is_a_fault(factors: tuple[float, float], message: str) -> None:
     [line] = scaled(factors)
     assert re.search(message, line)
+
+
+def test_swapped_speeds_are_named() -> None:
+    """Swapped speeds of two motors with encoders contradict both; one motor alone moves in the second run."""
+    hframe = BUILTIN_MACHINES["hframe"]()
+    speeds = (Sensor(f"w{i}_rad_s", {f"phi{i}": 1.0}, noise=SPEED_NOISE, kind="speed") for i in (1, 2))
+    machine = hframe.replace(sensors=(*hframe.sensors[:2], *speeds))
+    rng = np.random.default_rng(0)
+    runs = []
+    for k, pulls in enumerate([(3.0, 3.0), (3.0, 0.0)]):
+        time_s = np.arange(1000) * 1e-3
+        volts = np.repeat(rng.uniform(-1.0, 1.0, (10, 2)) * pulls, 100, axis=0)
+        volts[:100] = 0.0
+        outputs = simulate(machine, time_s, volts).outputs
+        runs.append(Recording(f"run_{k}", time_s, volts, outputs + 1e-3 * rng.normal(size=outputs.shape)))
+    assert faults(check_recordings(runs, machine)) == []
+    swapped = [dataclasses.replace(r, outputs=r.outputs[:, [0, 1, 3, 2]]) for r in runs]
+    assert faults(check_recordings(swapped, machine)) == [
+        f"fault: w1_rad_s and w2_rad_s are swapped: {REMEDY}"
+    ]
 
 
 def test_a_run_at_a_constant_speed_moves_and_copies_are_told() -> None:
