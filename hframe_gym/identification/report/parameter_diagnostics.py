@@ -148,7 +148,12 @@ def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
 
 
 def is_limited(parameter: FreeParameter, value: float) -> bool:
-    """Return whether a limit of the fit determines a value; a plain fit may lie beyond it, having none."""
+    """Return whether a limit of the fit determines a value; a plain fit may lie beyond it, having none.
+
+    Args:
+        parameter: Parameter whose limits count.
+        value: Its fitted value, SI.
+    """
     theta = parameter.theta(value)
     return parameter.at_limit(theta) and not parameter.beyond_limit(theta)
 
