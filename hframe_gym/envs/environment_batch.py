@@ -207,6 +207,14 @@ class EnvironmentBatch:
 
         Args:
             single: Whether messages speak of the action of a single environment.
+
+        Returns:
+            Actions, shape (count, drives), also of a single environment: float32 as they are, others as
+            float64. Values beyond -1 and 1 remain.
+
+        Raises:
+            gymnasium.error.ResetNeeded: Before `reset`.
+            ValueError: If actions are no finite numbers or have another shape.
         """
         if not self._was_reset:
             raise error.ResetNeeded("call reset before step")

@@ -286,13 +286,16 @@ _ACTIVE: ContextVar[Budget | None] = ContextVar("budget", default=None)
 
 
 def spend(doing: str = "") -> None:
-    """End the search by an exception if the active budget is used up; searches call it between fits.
+    """End the search by an exception if the time of its stage is used up; searches call it between fits.
+
+    Progress is reported as well. Without an active budget, and in a stage that must deliver a machine, it
+    does nothing; the latter asks `goes_on`.
 
     Args:
         doing: What the search does next, in words. Default: the same as at the last call.
 
     Raises:
-        BudgetEndedError: If the budget ended, or the user interrupted.
+        BudgetEndedError: If the time of the stage is used up, or the user interrupted.
     """
     budget = _ACTIVE.get()
     if budget is not None and not budget.delivers:

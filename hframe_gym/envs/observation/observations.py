@@ -143,6 +143,10 @@ class ObservationBuilder:
 
         Parameters are stored for the array `privileged`, measurements if sensors are observed. The sampler is
         the one that returned keys and values.
+
+        Args:
+            elapsed: Control periods since the reset of all environments, not of the k alone; they select the
+                random numbers of the noise.
         """
         if self.privileged:
             self._parameters[index] = sampler.normalized(values)

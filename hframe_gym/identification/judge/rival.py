@@ -136,14 +136,14 @@ def remains_rival(evidence: RivalEvidence) -> bool:
 
 
 def only_a_row_tells(durations: Sequence[float], period: float) -> bool:
-    """Return whether effects differ only within a row of a log, so that the log cannot distinguish them.
+    """Return whether delays and lags are over within a row of a log, so that it cannot distinguish them.
 
     A delay and a lag of equal duration act alike on everything that changes more slowly. In a log slower than
     its controller, the voltages within a row are unknown: on two stages, the wrong effect of the two
     explained more.
 
     Args:
-        durations: Durations of the effects, s.
+        durations: Durations of the delays or lags, s; all must be shorter than the period.
         period: Sampling period of the log, s.
     """
     return max(durations) < period

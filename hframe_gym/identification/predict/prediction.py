@@ -327,7 +327,8 @@ def measurements_from(start: Array, machine: Machine, run: PreparedRecording) ->
         run: Run, n samples.
 
     Returns:
-        Measurements, in the sensors' units, shape (n, sensors).
+        Measurements minus the sensors' zeros, as in `run.outputs`, in the sensors' units, shape (n, sensors);
+        NaN where they are missing.
     """
     measured_start = run.initial.position
     displacement = machine.sensor_matrix[:, : len(measured_start)] @ (

@@ -45,7 +45,8 @@ def causes_of_force(
         comparison: Comparison with the missing force.
         directions: Force along each motion per force on a coordinate, dimensionless,
             shape (motions, coordinates). A force on a coordinate without an influence is no cause.
-        deviating: Coordinates whose sensors show more than noise, shape (coordinates,).
+        deviating: Coordinates whose sensors show more than noise, shape (coordinates,). Other coordinates and
+            their drives get no cause; if none deviates, nothing is yielded.
     """
     names = machine.coordinate_names
     acting = [i for i in range(len(names)) if deviating[i] and np.any(directions[:, i] != 0.0)]
