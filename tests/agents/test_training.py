@@ -158,7 +158,7 @@ def test_a_killed_run_resumes_from_its_checkpoint(tmp_path):
     card = train("sac", steps=steps, out=tmp_path, resume=True, log=ignore)
     assert card["curve"][: len(before)] == before
     assert card["curve"][-1]["steps"] >= steps
-    assert card["curve"][-1]["cpu_s"] > before[-1]["cpu_s"]
+    assert card["curve"][-1]["cpu_s"] >= before[-1]["cpu_s"]  # rounded: 320 steps may take less than 0.1 s
 
 
 class _Killed(BaseException):
