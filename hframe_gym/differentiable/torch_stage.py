@@ -20,8 +20,10 @@ Tensor = torch.Tensor
 class DifferentiableStage(Stage[torch.Tensor]):
     """Stage that torch differentiates with respect to initial state, voltages and machine parameters.
 
-    All tensors are on the processor and are computed in float64; gradients have the type of what they belong
-    to. Second derivatives are not available. The arguments are those of `Stage`.
+    Tensors must be on the device "cpu". Motions are computed in float64; a gradient has the dtype of the
+    tensor that it belongs to. Second derivatives are not available. The arguments are those of `Stage`. In
+    shapes, B is the number of machines, n that of times, S that of entries of `state_names`, and P that of
+    `parameter_names`.
 
     Example:
         ::
@@ -44,6 +46,7 @@ class DifferentiableStage(Stage[torch.Tensor]):
 
         Args:
             changes: Value of each changed parameter by name, SI: number, or tensor of shape () or (B,).
+            batch: Number of machines, B.
 
         Returns:
             Parameters in the order of `parameter_names`, SI, shape (B, P).
@@ -69,8 +72,8 @@ class DifferentiableStage(Stage[torch.Tensor]):
         """Simulate as `Stage.rollout` does, with two further arguments.
 
         Args:
-            earlier: Voltages of periods before the first one, V, shape (B, any number, drives), which matter
-                for drives with a delay. Default: the first voltages acted before.
+            earlier: Voltages of periods before the first one, V, shape (B, any number, drives), in the order
+                of time; they matter for drives with a delay. Default: the first voltages acted before as well.
             start_time: Time since the machines were switched on, s, for effects that depend on it.
 
         Raises:
@@ -118,7 +121,7 @@ class DifferentiableStage(Stage[torch.Tensor]):
             voltages: Voltages, V, shape (B, drives).
             parameters: Parameters, SI, shape (P,) or (B, P). Default: those of the machine.
             earlier: Voltages of the periods before, V, shape (B, any number, drives), for drives with a
-                delay. Default: those of this period acted before.
+                delay. Default: the voltages of this period acted before as well.
             start_time: Time since the machines were switched on, s, for effects that depend on it.
 
         Returns:
@@ -152,6 +155,7 @@ class DifferentiableStage(Stage[torch.Tensor]):
             raise InputError(
                 f"machine {self.machine.name!r} declares no tool_axes; use the states themselves"
             )
+        # With a bridge that yaws, the product of two coordinates is added: the tool is at x + yaw y.
         axes = [
             states[..., i] + (states[..., a] * states[..., b] if a >= 0 else 0.0) for i, a, b in self._tool
         ]
@@ -174,7 +178,7 @@ class _Rollout(torch.autograd.Function):
         arrays = [tensor.detach().numpy() for tensor in (start, voltages, parameters)]
         before = earlier.detach().numpy()
         ctx.motions = stage.simulate(*arrays, earlier=before, start_time=start_time)
-        ctx.stage, ctx.before, ctx.columns = stage, earlier.shape[1], parameters.shape[1]
+        ctx.stage, ctx.earlier_periods, ctx.declared = stage, earlier.shape[1], parameters.shape[1]
         return torch.from_numpy(ctx.motions.states)
 
     @staticmethod
@@ -185,8 +189,10 @@ class _Rollout(torch.autograd.Function):
             ctx.motions, gradient.numpy(), by_parameters=ctx.needs_input_grad[2], parallel=stage.parallel
         )
         start, inputs, parameters = map(torch.from_numpy, (found.start, found.inputs, found.parameters))
-        by_parameters = parameters[:, : ctx.columns] if ctx.needs_input_grad[2] else None
-        return start, inputs[:, ctx.before :], by_parameters, inputs[:, : ctx.before], None, None
+        # Parameters of the end stops follow those that are declared; inputs begin with the earlier voltages.
+        by_parameters = parameters[:, : ctx.declared] if ctx.needs_input_grad[2] else None
+        voltages, earlier = inputs[:, ctx.earlier_periods :], inputs[:, : ctx.earlier_periods]
+        return start, voltages, by_parameters, earlier, None, None
 
 
 class _Readings(torch.autograd.Function):
@@ -194,7 +200,7 @@ class _Readings(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, states: Tensor, parameters: Tensor, stage: Stage[Tensor]) -> Tensor:  # type: ignore[override]
-        ctx.stage, ctx.columns = stage, parameters.shape[1]
+        ctx.stage, ctx.declared = stage, parameters.shape[1]
         ctx.states = states.detach().numpy()
         ctx.parameters = stage.with_end_stops(parameters.detach().numpy())
         return torch.from_numpy(stage.motion.readings(ctx.states, ctx.parameters, parallel=stage.parallel))
@@ -207,7 +213,7 @@ class _Readings(torch.autograd.Function):
             ctx.states, ctx.parameters, gradient.numpy(), parallel=stage.parallel
         )
         states, parameters = map(torch.from_numpy, found)
-        return states, parameters[:, : ctx.columns], None
+        return states, parameters[:, : ctx.declared], None
 
 
 _rollout: Any = _Rollout.apply

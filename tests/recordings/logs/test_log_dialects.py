@@ -386,16 +386,21 @@ def test_tables_of_random_dialects_are_read_as_they_were_written(
     np.testing.assert_allclose(read[blanks:], np.array(texts, float), rtol=1e-12)
 
 
+def assert_read_with_stamps(log: Log) -> None:
+    """Check that a log is read as time stamps, voltages and positions."""
+    stamps, voltage, position = log.read(log.columns)[0]
+    np.testing.assert_allclose((stamps - stamps[0]) / np.timedelta64(1, "s"), TIME)
+    np.testing.assert_array_equal(voltage, VOLTAGE)
+    np.testing.assert_allclose(position, POSITION)
+
+
 def test_the_serial_monitor_puts_an_arrow_after_its_time_stamps(tmp_path: Path) -> None:
     text = "".join(
         f"12:00:{t:06.3f} -> {u:.2f},{x:.7f}\n" for t, u, x in zip(TIME, VOLTAGE, POSITION, strict=True)
     )
     log = opened(tmp_path, text)
     assert [column.kind for column in log.columns] == ["stamp", "number", "number"]
-    stamps, voltage, position = log.read(log.columns)[0]
-    np.testing.assert_allclose((stamps - stamps[0]) / np.timedelta64(1, "s"), TIME)
-    np.testing.assert_array_equal(voltage, VOLTAGE)
-    np.testing.assert_allclose(position, POSITION)
+    assert_read_with_stamps(log)
 
 
 @pytest.mark.parametrize("between", [" ", ",", "; "])
@@ -406,10 +411,7 @@ def test_names_before_the_numbers_may_follow_an_arrow(between: str, tmp_path: Pa
     )
     log = opened(tmp_path, text)
     assert [column.name for column in log.columns] == ["#1", "u", "x"]
-    stamps, voltage, position = log.read(log.columns)[0]
-    np.testing.assert_allclose((stamps - stamps[0]) / np.timedelta64(1, "s"), TIME)
-    np.testing.assert_array_equal(voltage, VOLTAGE)
-    np.testing.assert_allclose(position, POSITION)
+    assert_read_with_stamps(log)
 
 
 def test_lists_after_a_name_and_an_arrow_keep_their_time_stamps(tmp_path: Path) -> None:
@@ -417,10 +419,7 @@ def test_lists_after_a_name_and_an_arrow_keep_their_time_stamps(tmp_path: Path) 
         f"12:00:{t:06.3f} -> log=[{u:.2f},{x:.7f}]\n" for t, u, x in zip(TIME, VOLTAGE, POSITION, strict=True)
     )
     log = opened(tmp_path, text)
-    stamps, voltage, position = log.read(log.columns)[0]
-    np.testing.assert_allclose((stamps - stamps[0]) / np.timedelta64(1, "s"), TIME)
-    np.testing.assert_array_equal(voltage, VOLTAGE)
-    np.testing.assert_allclose(position, POSITION)
+    assert_read_with_stamps(log)
 
 
 def test_a_row_of_numbers_with_commas_is_not_one_number(tmp_path: Path) -> None:
