@@ -73,7 +73,8 @@ class DifferentiableStage(Stage[torch.Tensor]):
 
         Args:
             earlier: Voltages of periods before the first one, V, shape (B, any number, drives), in the order
-                of time; they matter for drives with a delay. Default: the first voltages acted before as well.
+                of time; they matter for drives with a delay. Default: the first voltages acted before as
+                well.
             start_time: Time since the machines were switched on, s, for effects that depend on it.
 
         Raises:
