@@ -18,6 +18,11 @@ from .belt_play import beyond_play
 _LEAST_SHARE = 0.2  # of inertia and friction that remains before the gap
 
 
+def damping(k, J, Z, per_radius):  # type: ignore[no-untyped-def]
+    """Return the damping coefficient of the teeth in contact, Ns/m; the arguments are those of `tension`."""
+    return 2.0 * Z * sqrt(k * J) * per_radius
+
+
 def tension(s, rate, k, d, J, Z, per_radius):  # type: ignore[no-untyped-def]
     """Return the force of the teeth, N: k u + c u' on contact, u = s - clip(s, -d r, d r); they never pull.
 
@@ -25,7 +30,7 @@ def tension(s, rate, k, d, J, Z, per_radius):  # type: ignore[no-untyped-def]
     inertia behind it, kg m^2, Z: damping ratio of its vibration against the teeth, per_radius: 1/r, 1/m.
     """
     pressed = beyond_play(s, d / per_radius)
-    force = k * pressed + 2.0 * Z * sqrt(k * J) * per_radius * rate
+    force = k * pressed + damping(k, J, Z, per_radius) * rate
     return where(pressed > 0.0, maximum(force, 0.0), where(pressed < 0.0, minimum(force, 0.0), 0.0))
 
 
@@ -119,6 +124,7 @@ EFFECT = Effect(
     "u' - belts, u = s - clip(s, -d, d), s = motor - far",
     source="Nordin and Gutman 2002, Automatica 38(10), the dead-zone model",
     tension=tension,
+    damping=damping,
     structure=structure,
     rigid=rigid,
     fits_site=fits_site,

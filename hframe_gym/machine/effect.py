@@ -41,6 +41,7 @@ HOOKS: Mapping[str, tuple[str, ...]] = {
     "current": ("i", "z", "V", "q", "v", "dq", "dv", "N", "R"),
     "torque": ("i", "q"),
     "tension": ("s", "rate", "k", "per_radius"),
+    "damping": ("k", "per_radius"),
     "energy_slope": ("s", "k"),
     "belt_travel": ("q", "z", "per_radius"),
     "lever_arm": ("q", "z", "per_radius"),
@@ -163,6 +164,9 @@ class Effect:
                                                                                      R
     torque              current that makes torque without the effect, A              i, q
     tension             tension of a belt, N                                         s, rate, k, per_radius
+    damping             derivative of the tension by the rate where parts touch,     k, per_radius
+                        Ns/m, at least 0; the integrator then takes a rate that
+                        this damper cannot reverse in one step
     energy_slope        derivative of the belt's energy by its stiffness, m^2        s, k
                         (default: s^2/2)
     belt_travel         belt travel that a pulley adds, m                            q, z, per_radius
@@ -268,6 +272,7 @@ class Effect:
     current: Hook | None = None
     torque: Hook | None = None
     tension: Hook | None = None
+    damping: Hook | None = None
     energy_slope: Hook | None = None
     belt_travel: Hook | None = None
     lever_arm: Hook | None = None

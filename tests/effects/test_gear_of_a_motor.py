@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from hframe_gym.controllers.models.motion_model import MotionModel
-from hframe_gym.dynamics import simulate
+from hframe_gym.dynamics import resolved_step, simulate
+from hframe_gym.dynamics.simulation import LONGEST_STEP
 from hframe_gym.effects import EFFECTS, effect_sites
 from hframe_gym.identification import fit, identify, prepare, write_result
 from hframe_gym.identification.predict.prediction import POLISH_STEP, SIMULATION
@@ -57,6 +60,73 @@ MOTOR = Machine(
         Sensor("motor_A", {"motor": 1.0}, NOISE_A, kind="current"),
     ),
 )
+
+
+def by_scipy(gap: Gap, volts: np.ndarray, start: tuple[float, float, float, float]) -> np.ndarray:
+    """Return the angles of motor and load at every row, rad, without dry friction, shape (rows, 2)."""
+    state, angles = np.array(start), []
+
+    def rates(_: float, y: np.ndarray, volt: float) -> list[float]:
+        teeth = gap.torque(y[0] - y[1], y[2] - y[3])
+        motor = TRUE.torque_constant * (volt - TRUE.torque_constant * y[2]) / TRUE.resistance
+        return [
+            y[2],
+            y[3],
+            (motor - TRUE.viscous * y[2] - teeth) / TRUE.inertia,
+            (teeth - gap.viscous * y[3]) / gap.inertia,
+        ]
+
+    for volt in map(float, volts):
+        angles.append(state[:2])
+        state = solve_ivp(rates, (0.0, PERIOD), state, "Radau", args=(volt,), rtol=1e-8, atol=1e-10).y[:, -1]
+    return np.array(angles)
+
+
+def errors_of_steps(
+    stiffness: float, damping_ratio: float, load: float, steps: list[float], *, pressed: bool
+) -> list[float]:
+    """Return the largest error of the angles for each longest step, rad; `load`: inertia / the motor's."""
+    gap = dataclasses.replace(GAP, stiffness=stiffness, inertia=load * TRUE.inertia, coulomb=0.0)
+    damping = 2.0 * damping_ratio * math.sqrt(gap.stiffness * gap.inertia)
+    gap = dataclasses.replace(gap, damping=damping)
+    effect = EFFECTS["gear_backlash"].at(
+        "motor", d=gap.half, J=gap.inertia, F=0.0, B=gap.viscous, K=gap.stiffness, Z=damping_ratio
+    )
+    shaft = dataclasses.replace(
+        MOTOR.coordinate("shaft"),
+        mass=TRUE.inertia + gap.inertia,
+        viscous=TRUE.viscous + gap.viscous,
+        coulomb=0.0,
+    )
+    machine = MOTOR.with_components(shaft).with_effects(effect)
+    volts = np.full(100, 8.0) if pressed else np.repeat([8.0, -5.0, 3.0, -8.0, 6.0], 60)
+    start = (gap.half, 0.0, 0.0, 0.0) if pressed else (0.0, 0.0, 0.0, 0.0)
+    expected, time_s = by_scipy(gap, volts, start), PERIOD * np.arange(len(volts))
+    return [
+        float(np.abs(trajectory.positions - expected).max())
+        for trajectory in (
+            simulate(machine, time_s, volts[:, None], start, longest_step=resolved_step(machine, longest))
+            for longest in steps
+        )
+    ]
+
+
+@pytest.mark.parametrize("load", [0.3, 4.0])
+def test_teeth_that_damp_strongly_do_not_need_shorter_steps(load: float) -> None:
+    """The teeth brake a light motor before a heavy load within a fraction of the step.
+
+    With the rate before the step, their force would reverse it, and the motion would diverge.
+    """
+    (error,) = errors_of_steps(3e4, 1.0, load, [LONGEST_STEP], pressed=False)
+    assert error < 0.1 * GAP.half
+
+
+@pytest.mark.parametrize("damping_ratio", [0.1, 1.0])
+def test_motion_in_contact_is_of_second_order(damping_ratio: float) -> None:
+    errors = errors_of_steps(2e3, damping_ratio, 1.2, [2e-4, 1e-4, 0.5e-4], pressed=True)
+    assert errors[0] < 2e-6
+    assert errors[1] < 0.3 * errors[0]
+    assert errors[2] < 0.3 * errors[1]
 
 
 @cache

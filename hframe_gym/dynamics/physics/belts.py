@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+from ...machine import AppliedEffect
 from ..symbolic.elementwise import fma, named
 from ..symbolic.expressions import Expression
 from .parameterized_machine import IndexRow, MotionPoint, ParameterizedMachine, Value
@@ -72,14 +73,16 @@ class BeltEquations(ParameterizedMachine):
             for b, value in zip(lengths, reciprocals(list(lengths.values())), strict=True)
         }
         rates = [combination(row, speed) for row in self.extension_rows]
-        return [self._belt_state(b, s, rates[b], per_length.get(b)) for b, s in enumerate(extensions)]
+        return [self._belt_state(b, s, rates[b], per_length.get(b), point) for b, s in enumerate(extensions)]
 
     def constant_stiffness(self, b: int) -> Value:
         """Return the stiffness EA / rest length, N/m, of a belt whose length does not depend on position."""
         name = self.machine.belts[b].name
         return self.parameter(f"{name}.EA") / self.parameter(f"{name}.rest_length")
 
-    def _belt_state(self, b: int, extension: Value, rate: Value, per_length: Value | None) -> BeltState:
+    def _belt_state(
+        self, b: int, extension: Value, rate: Value, per_length: Value | None, point: MotionPoint
+    ) -> BeltState:
         """Return the state of belt b; per_length: 1/l, 1/m, None for constant stiffness."""
         s, name = extension, self.machine.belts[b].name
         k = self.constant_stiffness(b) if per_length is None else self.parameter(f"{name}.EA") * per_length
@@ -91,6 +94,8 @@ class BeltEquations(ParameterizedMachine):
             quantities = {"s": s, "rate": rate, "k": k}
             if (i := self.instances[j].coordinate) >= 0:
                 quantities["per_radius"] = self.per_radius(i)
+            if e.definition.damping and point.elapsed is not None:
+                quantities["rate"] = self._mean_rate(b, e, quantities, point, 2.0 * point.elapsed)
             tension = tension + (self.evaluate(e, "tension", quantities) - linear)
         tension = named("tension", b, tension)
         if per_length is None:
@@ -107,6 +112,35 @@ class BeltEquations(ParameterizedMachine):
         elastic = linear if tension_effects else tension  # damping stores no energy
         net = named("net_tension", b, fma(-0.5 * strain, elastic, tension))
         return BeltState(s, rate, k, tension, 0.5 * strain * elastic, net)
+
+    def _mean_rate(
+        self, b: int, effect: AppliedEffect, quantities: Mapping[str, Value], point: MotionPoint, step: Value
+    ) -> Value:
+        """Return the rate of belt b, m/s, that a damper feels in the mean over an integration `step`, s.
+
+        With x = h c (G^2/m), the step h in units of the time in which the damper c alone brakes the belt, the
+        rate r at the beginning and the change g by all other forces, the mean rate is
+
+            (1 - x share) r + share g,    share = (1 + x) / (2 + 2 x + x^2),
+
+        so that the damper alone leaves 1 / (1 + x + x^2/2) of the rate: of second order for small x, and at
+        rest, without overshoot, for large x. At the half-way point, g is not known yet, and left out.
+        """
+        row, rate = self.extension_rows[b], quantities["rate"]
+        squared = {i: factor * factor for i, factor in row.items()}
+        per_mass = combination(squared, [1.0 / self.mass(i) for i in range(len(point.travel))])
+        x = step * per_mass * self.evaluate(effect, "damping", quantities)
+        share = (1.0 + x) / (2.0 + x * (2.0 + x))
+        if point.gained is None:
+            return 2.0 * share * rate
+        gained = combination(row, point.gained)
+        rate = rate - 0.5 * gained
+        half_way = {"s": quantities["s"] - (1.0 / 12.0) * step * gained, "rate": 2.0 * share * rate}
+        # What the contact has in `gained` is replaced by its elastic part at this point.
+        change = self.evaluate(effect, "tension", {**quantities, **half_way}) - self.evaluate(
+            effect, "tension", {**quantities, "rate": 0.0}
+        )
+        return (1.0 - x * share) * rate + share * (gained + step * per_mass * change)
 
     def _pulley_quantities(self, k: int, i: int, point: MotionPoint) -> dict[str, Value]:
         return {

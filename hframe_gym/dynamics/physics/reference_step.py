@@ -11,6 +11,7 @@ It is a symmetric splitting around the exact flow of each coordinate with fricti
     3. exact flow          m dv/dt = f2 - b v - F2 sign v over h, through a stop, gives v and p
     4. effect states       z after h
 
+A damper of a contact (`Effect.damping`) takes the mean rate that it leaves over the step (`BeltEquations`).
 Step 2 cancels the frequency error (omega h)^2/24 of the position Verlet scheme (Takahashi and Imada 1984;
 Chin 1997). The exact flow replaces the scheme's half steps, so that strong damping costs no accuracy.
 """
