@@ -102,10 +102,7 @@ def _first_rows(run: PreparedRecording) -> PreparedRecording:
         return run
     changed = np.any(run.inputs != run.inputs[0], axis=1)
     first = min(int(np.argmax(changed)), len(run.time_s) - _MAX_ROWS)
-    rows = slice(first, first + _MAX_ROWS)
-    return dataclasses.replace(
-        run, time_s=run.time_s[rows], inputs=run.inputs[rows], outputs=run.outputs[rows]
-    )
+    return run.rows(slice(first, first + _MAX_ROWS))
 
 
 def _simulate_outputs(machine: Machine, run: PreparedRecording) -> Array:

@@ -142,7 +142,7 @@ class PreparedRecording:
 
     def first_rows(self, count: int) -> PreparedRecording:
         """Return a copy with only the first `count` rows of the run, or all if it has fewer."""
-        return self._rows(slice(count))
+        return self.rows(slice(count))
 
     def last_rows(self, count: int) -> PreparedRecording:
         """Return a copy with only the last rows of the run.
@@ -152,10 +152,10 @@ class PreparedRecording:
         Args:
             count: Number of rows to keep, from 1 to the number of rows of the run.
         """
-        return self._rows(slice(len(self.time_s) - count, None))
+        return self.rows(slice(len(self.time_s) - count, None))
 
-    def _rows(self, chosen: slice) -> PreparedRecording:
-        """Return some rows of the run."""
+    def rows(self, chosen: slice) -> PreparedRecording:
+        """Return a copy with only some rows of the run; the initial state stays that of the complete run."""
         series = ("time_s", "inputs", "outputs", "noise", "weights", "dropped")
         clock = None if self.clock_voltages is None else self.clock_voltages.rows(chosen)
         return dataclasses.replace(

@@ -135,7 +135,8 @@ def _representative_rows(
         return run.first_rows(rows)
     starts = _starts(run, rows, data)
     whole = _recorded(run)
-    difference = spectral_differences([whole, *(_rows_of(whole, start, rows) for start in starts)])[0, 1:]
+    parts = (whole.rows(slice(start, start + rows)) for start in starts)
+    difference = spectral_differences([whole, *parts])[0, 1:]
     return _part(run, starts[int(np.argmin(difference))], rows, machine)
 
 
@@ -174,35 +175,20 @@ def _part(run: PreparedRecording, start: int, rows: int, machine: Machine) -> Pr
         return run.first_rows(rows)
     whole = _recorded(run)
     whole = dataclasses.replace(whole, outputs=whole.outputs + run.initial.zeros)
-    part = without_unknown_voltage(_rows_of(whole, start, rows), machine)
+    chosen = slice(start, start + rows)
+    part = without_unknown_voltage(whole.rows(chosen), machine)
     encoders = [sensor.incremental for sensor in machine.sensors]  # they count from the zero of the whole run
     zeros = EncoderZeros(np.where(encoders, run.initial.zeros, np.nan), run.initial.zero_spread)
     initial = estimate_initial_state(part, machine, zeros)
-    chosen = slice(start, start + rows)
     return dataclasses.replace(
-        run,
-        time_s=part.time_s,
+        run.rows(chosen),
         inputs=part.inputs,
         outputs=part.outputs - initial.zeros,
         initial=initial,
-        noise=run.noise[chosen],
         weights=np.where(np.isfinite(part.outputs), run.weights[chosen], 0.0),
-        dropped=run.dropped[chosen],
-        clock_voltages=None if run.clock_voltages is None else run.clock_voltages.rows(chosen),
     )
 
 
 def _recorded(run: PreparedRecording) -> Recording:
     """Return a run as a recording, with measurements minus the sensors' zeros."""
     return Recording(run.name, run.time_s, run.inputs, run.outputs)
-
-
-def _rows_of(recording: Recording, start: int, rows: int) -> Recording:
-    """Return some rows of a recording."""
-    rows_of = slice(start, start + rows)
-    return dataclasses.replace(
-        recording,
-        time_s=recording.time_s[rows_of],
-        inputs=recording.inputs[rows_of],
-        outputs=recording.outputs[rows_of],
-    )

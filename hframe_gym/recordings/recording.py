@@ -8,7 +8,7 @@ header) and column.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -71,6 +71,10 @@ class Recording:
         for name in ("time_s", "inputs", "outputs"):
             object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name)))
 
+    def rows(self, chosen: slice) -> Recording:
+        """Return some rows of the run as a run of the same name; their times stay."""
+        return Recording(self.name, self.time_s[chosen], self.inputs[chosen], self.outputs[chosen])
+
 
 def load_recordings(
     folder: str | Path,
@@ -124,8 +128,7 @@ def load_recordings(
     recordings = [load_recording(p, machine, progress=add, max_rows=rows + 1) for p in files]
     for i, recording in enumerate(recordings):
         if len(recording.time_s) > rows:
-            arrays = {key: getattr(recording, key)[:rows] for key in ("time_s", "inputs", "outputs")}
-            recordings[i] = replace(recording, **arrays)
+            recordings[i] = recording.rows(slice(rows))
             seconds = recording.time_s[rows - 1] - recording.time_s[0]
             log(f"{recording.name}: only the first {seconds:.4g} s ({rows} rows) are used, see --max-rows")
     return recordings

@@ -340,16 +340,12 @@ def shared_wraps(recordings: Sequence[Recording], machine: Machine) -> dict[tupl
 def without_shared_wraps(recordings: Sequence[Recording], machine: Machine) -> list[Recording]:
     """Copy the runs, and make sensors continuous that wrap as other runs show (`shared_wraps`)."""
     shared = shared_wraps(recordings, machine)
-    result = []
-    for recording in recordings:
-        outputs = recording.outputs.copy()
-        for j, channel in enumerate(machine.output_channels):
-            if (recording.name, channel) in shared:
-                modulus = shared[recording.name, channel].modulus
-                outputs[:, j] = unwrapped(outputs[:, j], modulus, recording.time_s)
-        changed = any(name == recording.name for name, _ in shared)
-        result.append(dataclasses.replace(recording, outputs=outputs) if changed else recording)
-    return result
+    return [
+        _without(
+            recording, {c: wrap for (name, c), wrap in shared.items() if name == recording.name}, machine
+        )
+        for recording in recordings
+    ]
 
 
 def without_wraps(recording: Recording, machine: Machine) -> Recording:
@@ -358,7 +354,11 @@ def without_wraps(recording: Recording, machine: Machine) -> Recording:
     A measurement wraps at the turn that its sensor declares; without one, at jumps of a known modulus
     (`find_wrap`), if it is a position. Other jumps stay.
     """
-    wraps = wraps_of(recording, machine)
+    return _without(recording, wraps_of(recording, machine), machine)
+
+
+def _without(recording: Recording, wraps: Mapping[str, Wrap], machine: Machine) -> Recording:
+    """Copy a recording with continuous values of the channels that wrap, or return it if none does."""
     if not wraps:
         return recording
     outputs = recording.outputs.copy()

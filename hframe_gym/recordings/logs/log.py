@@ -202,13 +202,16 @@ def log_columns(headers: Sequence[str], units: Sequence[str], kinds: Sequence[st
     return tuple(columns)
 
 
-def vector_log(path: Path, vectors: Sequence[tuple[str, NDArray[np.float64]]], kind: str) -> Log:
+def vector_log(
+    path: Path, vectors: Sequence[tuple[str, NDArray[np.float64]]], kind: str, part: str = ""
+) -> Log:
     """Build a log from vectors in memory, such as those of an archive of arrays.
 
     Args:
         path: File that held the vectors.
         vectors: Names and values, shape (rows,) each, of possibly different lengths.
         kind: What the file is, with its article, for the log's remark, such as "an archive of NumPy".
+        part: Name of the part of the file that this log is; "" if the file is one log.
     """
     names = [name for name, _ in vectors]
     named = log_columns(names, [""] * len(names), ["number"] * len(names))
@@ -222,4 +225,4 @@ def vector_log(path: Path, vectors: Sequence[tuple[str, NDArray[np.float64]]], k
             progress(path.stat().st_size)
         return [vectors[index][1] for index in indices], []
 
-    return Log(path, columns, (f"it is {kind}",), read)
+    return Log(path, columns, (f"it is {kind}",), read, part)

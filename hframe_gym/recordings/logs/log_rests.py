@@ -77,9 +77,8 @@ def split_at_rests(
     digits = max(2, len(str(len(pieces))))
     runs = []
     for number, (begin, end) in enumerate(pieces, start=1):
-        rows = slice(int(begin), int(end))
-        arrays = {key: getattr(recording, key)[rows] for key in ("time_s", "inputs", "outputs")}
-        runs.append(dataclasses.replace(recording, name=f"{recording.name}_{number:0{digits}d}", **arrays))
+        part = recording.rows(slice(int(begin), int(end)))
+        runs.append(dataclasses.replace(part, name=f"{recording.name}_{number:0{digits}d}"))
     seconds = [float(run.time_s[-1] - run.time_s[0]) for run in runs]
     left_out = time_s[-1] - time_s[0] - sum(seconds)
     count = "1 run of" if len(runs) == 1 else f"{len(runs)} runs of {min(seconds):.3g} to"

@@ -150,16 +150,11 @@ def accepted_units(machine: Machine, channel: str) -> dict[str, UnitConversion]:
     for unit, factors in speeds.items():
         conversions[unit] = UnitConversion(Conversion(*factors), True, f"speed in {unit}, {_INTEGRATED}")
     conversions |= _motor_units(machine, channel, dimension)
-    drive = _shaft_drive(machine, channel)
-    if drive is not None:
-        gear = f"converted by its gear ratio, {drive.gear_ratio:.6g} rad/m"
-        for unit, factors in UNITS["angle"].items():
-            travel = Conversion(*factors).scaled(1.0 / drive.gear_ratio)
-            conversions[unit] = UnitConversion(travel, False, f"angle of {drive.name} in {unit}, {gear}")
-        for unit, factors in SPEED_UNITS["angle"].items():
-            speed = Conversion(*factors).scaled(1.0 / drive.gear_ratio)
-            remark = f"speed of {drive.name} in {unit}, {gear}, {_INTEGRATED}"
-            conversions[unit] = UnitConversion(speed, True, remark)
+    if channel in machine.output_channels and machine.sensor(channel).incremental:
+        drive = _direct_drive(machine, channel)  # whose shaft the encoder measures
+        if drive is not None:
+            conversions |= _units_of_motor(drive, "angle", integrate=False)
+            conversions |= _units_of_motor(drive, "angular speed", integrate=True)
     if channel in machine.input_channels and dimension != "duty cycle":
         conversions |= _input_units(machine, channel, dimension)
     return conversions
@@ -173,17 +168,18 @@ def _motor_units(machine: Machine, channel: str, dimension: Dimension) -> dict[s
         drive: Drive | None = machine.drives[machine.input_channels.index(channel)]
     else:
         drive = _direct_drive(machine, channel) if dimension == "linear speed" else None
-    if motor is None or drive is None:
-        return {}
-    gear = f"converted by its gear ratio, {drive.gear_ratio:.6g} rad/m"
-    quantity = "speed" if motor == "angular speed" else "angle"
+    return {} if motor is None or drive is None else _units_of_motor(drive, motor, integrate=False)
+
+
+def _units_of_motor(drive: Drive, quantity: Dimension, *, integrate: bool) -> dict[str, UnitConversion]:
+    """Return the units of a motor's angle or speed, converted to those of the carriage that it moves."""
+    gear = f"converted by its gear ratio, {drive.gear_ratio:.6g} rad/m" + f", {_INTEGRATED}" * integrate
+    name = f"{quantity.removeprefix('angular ')} of {drive.name}"
     return {
         unit: UnitConversion(
-            Conversion(*factors).scaled(1.0 / drive.gear_ratio),
-            False,
-            f"{quantity} of {drive.name} in {unit}, {gear}",
+            Conversion(*factors).scaled(1.0 / drive.gear_ratio), integrate, f"{name} in {unit}, {gear}"
         )
-        for unit, factors in UNITS[motor].items()
+        for unit, factors in UNITS[quantity].items()
     }
 
 
@@ -254,12 +250,6 @@ def scaled_speed_message(machine: Machine, channel: str, unit: str) -> str:
         f"If the factor converts it to {si_unit}, add --unit {channel}={si_unit} to integrate it to {channel}"
     )
     return f"{problem}. {advice}"
-
-
-def _shaft_drive(machine: Machine, channel: str) -> Drive | None:
-    """Return the drive whose shaft the encoder of a channel in m measures, for its gear ratio, or None."""
-    encoder = channel in machine.output_channels and machine.sensor(channel).incremental
-    return _direct_drive(machine, channel) if encoder else None
 
 
 def _direct_drive(machine: Machine, channel: str) -> Drive | None:

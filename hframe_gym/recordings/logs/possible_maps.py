@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ...machine import Machine
 from ..quantities import QUANTITIES, Meaning
-from .measurement_units import SI_UNITS, SPEED_UNITS, TIME, accepted_units, channel_dimension
+from .measurement_units import ALL_SPEED_UNITS, SI_UNITS, TIME, accepted_units, channel_dimension
 
 # What the output of a controller is often named after, although it is a voltage: a "torque" or "speed" that
 # is written to an amplifier. For these the user may state a unit of voltage.
@@ -79,7 +79,7 @@ def _can_be_measurement(
     if column.family == "speed":
         if unit is None:
             return column.evidence == "unit"
-        return unit in _speed_units() or unit not in accepted_units(machine, channel)
+        return unit in ALL_SPEED_UNITS or unit not in accepted_units(machine, channel)
     if column.family == "current" and column.evidence == "name":  # or a present value, "current_speed"
         return scaled or unit in accepted_units(machine, channel)
     return scaled and (column.unit in _ANALOG_UNITS or (column.family == "voltage" and not column.unit))
@@ -111,14 +111,16 @@ def _has_no_back_emf(machine: Machine, channel: str) -> bool:
     return machine.drives[machine.input_channels.index(channel)].Ke == 0.0
 
 
-def _speed_units() -> tuple[str, ...]:
-    """Return all units of speeds."""
-    return tuple(unit for units in SPEED_UNITS.values() for unit in units)
+def _option_of_unit(machine: Machine, channel: str) -> str:
+    """Return the option --unit with the units that a channel's column may have."""
+    return f"--unit {channel}=UNIT ({', '.join(accepted_units(machine, channel))})"
 
 
 def _advice(machine: Machine, channel: str, column: Meaning) -> str:
     """Return what is possible in place of an impossible map."""
     family = column.family
+    by_unit = _option_of_unit(machine, channel)
+    unit_or_factor = f"state its unit by {by_unit}, or a factor by --scale {channel}=FACTOR"
     if channel == TIME:
         if family in _COUNTS:
             return (
@@ -131,10 +133,7 @@ def _advice(machine: Machine, channel: str, column: Meaning) -> str:
         return advice
     if channel in machine.input_channels:
         if family in _AMPLIFIER_COMMANDS and _has_no_back_emf(machine, channel):
-            units = ", ".join(accepted_units(machine, channel))
-            return (
-                f"state its unit by --unit {channel}=UNIT ({units}), or a factor by --scale {channel}=FACTOR"
-            )
+            return unit_or_factor
         if family in _AMPLIFIER_COMMANDS:
             return _advice_about_commands(channel, column)
         if family == "duty cycle":
@@ -159,23 +158,23 @@ def _advice(machine: Machine, channel: str, column: Meaning) -> str:
     if dimension not in _MOTIONS:
         advice = f"map a measured {dimension}"
         if column.evidence == "name":
-            units = ", ".join(accepted_units(machine, channel))
             return (
-                f"{advice}, or state the unit by --unit {channel}=UNIT ({units}) if the column is "
+                f"{advice}, or state the unit by {by_unit} if the column is "
                 f"the {dimension} in spite of its name"
             )
         if column.unit in _ANALOG_UNITS:
             return f"{advice}, or state the factor to {SI_UNITS[dimension]} by --scale {channel}=FACTOR"
         return advice
     if family == "position":
-        units = ", ".join(accepted_units(machine, channel))
-        return f"state its unit by --unit {channel}=UNIT ({units}), or a factor by --scale {channel}=FACTOR"
+        return unit_or_factor
     if family == "speed":
-        si_units = ", ".join(unit for unit in accepted_units(machine, channel) if unit in _speed_units())
+        si_units = ", ".join(unit for unit in accepted_units(machine, channel) if unit in ALL_SPEED_UNITS)
         return f"a speed is integrated to it if its unit is one of {si_units}: --unit {channel}=UNIT"
     if family in ("voltage", "current") and column.unit in ("", *_ANALOG_UNITS):
-        si_unit = SI_UNITS[channel_dimension(machine, channel)]
-        return f"if it is the signal of a sensor, state the factor to {si_unit} by --scale {channel}=FACTOR"
+        return (
+            f"if it is the signal of a sensor, state the factor to {SI_UNITS[dimension]} "
+            f"by --scale {channel}=FACTOR"
+        )
     return "map a position, or a speed, which is integrated"
 
 

@@ -11,7 +11,6 @@ import subprocess
 import sys
 import tempfile
 import zlib
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -45,29 +44,25 @@ class MatlabLogs(LogFormat):
 
     @override
     def open(self, path: Path) -> list[Log]:
-        return _open_mat(path)
-
-
-def _open_mat(path: Path) -> list[Log]:
-    """Open a file whose vectors all are read at once."""
-    with open(path, "rb") as file:
-        start = file.read(_MATLAB_BLOCK + len(_HDF5))
-    is_hdf5 = _HDF5 in (start[: len(_HDF5)], start[_MATLAB_BLOCK:])
-    if is_hdf5:
-        advice = "save it as version 7 in MATLAB: save('log.mat', 't', 'x', '-v7')"
-        require_extra(path, "HDF5 files (MATLAB 7.3)", "hdf5", ["h5py"], advice)
-    else:
-        _refuse_large_variables(path)
-    kind = "an HDF5 file" if is_hdf5 else "a MATLAB file"
-    parts = _mat_vectors(path, kind)
-    if not parts:
-        advice = (
-            "save plain arrays, a struct of arrays or, as version 7, timeseries: "
-            "save('log.mat', 'u', 'x', '-v7')"
-        )
-        require_extra(path, "tables, timetables and timeseries", "matlab", ["matio"], advice)
-        raise InputError(f"{path}: has no arrays of numbers, tables or timeseries; {advice}")
-    return [replace(vector_log(path, vectors, kind), part=part) for part, vectors in parts.items()]
+        """Open a file whose vectors all are read at once."""
+        with open(path, "rb") as file:
+            start = file.read(_MATLAB_BLOCK + len(_HDF5))
+        is_hdf5 = _HDF5 in (start[: len(_HDF5)], start[_MATLAB_BLOCK:])
+        if is_hdf5:
+            advice = "save it as version 7 in MATLAB: save('log.mat', 't', 'x', '-v7')"
+            require_extra(path, "HDF5 files (MATLAB 7.3)", "hdf5", ["h5py"], advice)
+        else:
+            _refuse_large_variables(path)
+        kind = "an HDF5 file" if is_hdf5 else "a MATLAB file"
+        parts = _mat_vectors(path, kind)
+        if not parts:
+            advice = (
+                "save plain arrays, a struct of arrays or, as version 7, timeseries: "
+                "save('log.mat', 'u', 'x', '-v7')"
+            )
+            require_extra(path, "tables, timetables and timeseries", "matlab", ["matio"], advice)
+            raise InputError(f"{path}: has no arrays of numbers, tables or timeseries; {advice}")
+        return [vector_log(path, vectors, kind, part) for part, vectors in parts.items()]
 
 
 def _mat_vectors(path: Path, kind: str) -> dict[str, list[tuple[str, NDArray[np.float64]]]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -90,7 +91,7 @@ class _Bag(MessageSource):
             reader.open()
         except Exception as error:  # many types for damaged bags
             raise self._damaged(error) from None
-        return _Opened(reader)
+        return closing(reader)
 
     def _contents(self, messages: Callable[[], Iterator[Any]]) -> Iterator[tuple[int, bytes]]:
         """Yield times and bytes of messages; a damaged bag is refused."""
@@ -126,16 +127,3 @@ class _Bag(MessageSource):
                 self._decoder.add_definition(connection.msgtype, connection.msgdef.data, idl=is_idl)
             except UnreadableError as error:
                 self._faulty[connection.msgtype] = str(error)
-
-
-class _Opened:
-    """Context of an open reader."""
-
-    def __init__(self, reader: Any) -> None:
-        self._reader = reader
-
-    def __enter__(self) -> Any:
-        return self._reader
-
-    def __exit__(self, *_: object) -> None:
-        self._reader.close()

@@ -15,22 +15,20 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from typing_extensions import override
 
 from ....arrays import Array
 from ....errors import InputError
 from ....files import read_document, read_json, refuse_many_values
-from ...tables.text_reader import Progress
 from ..foreign_files import is_json
-from ..log import Log, log_columns
+from ..log import Log, vector_log
 from .base import KNOWN_CONTENT, LOG_FORMATS, LogFormat
 
+Place = TypeVar("Place", int, float)  # of a test: row or time, s
 STATES = ("quasistatic-forward", "quasistatic-reverse", "dynamic-forward", "dynamic-reverse")
 NO_TEST = "none"
 TESTS = ("slow-forward", "slow-backward", "fast-forward", "fast-backward")
@@ -43,13 +41,8 @@ _UNITS = {
     "degrees": ("deg", 1.0),
     "rotations": ("rev", 1.0),
 }
-_TWO_SIDES = (
-    "l voltage [V]",
-    "r voltage [V]",
-    "l position *",
-    "r position *",
-    "l velocity *",
-    "r velocity *",
+_TWO_SIDES = tuple(
+    f"{side} {column}" for column in ("voltage [V]", "position *", "velocity *") for side in "lr"
 )
 # Columns by their number, with the columns in the file's unit marked by a star.
 _COLUMNS = {
@@ -62,23 +55,6 @@ _FRC_CHARACTERIZATION_COLUMNS = {
     10: ("timestamp [s]", "battery [V]", "autospeed", *_TWO_SIDES, "angle [rad]"),
 }
 _ADVICE = "of JSON files only those of WPILib's SysId are read; export a table as CSV, one row per sample"
-
-
-@dataclass(frozen=True)
-class SysIdTest:
-    """One test of a SysId file.
-
-    Attributes:
-        name: Name of the test in the file, such as "slow-forward".
-        names: Headers of the columns with units.
-        columns: Values of the columns, shape (rows,) each.
-        remarks: Sentences for the user about the file.
-    """
-
-    name: str
-    names: tuple[str, ...]
-    columns: list[Array]
-    remarks: tuple[str, ...]
 
 
 def are_states(texts: Iterable[str]) -> bool:
@@ -98,13 +74,17 @@ def tests_of_states(states: Sequence[str]) -> list[tuple[str, int, int]]:
     ]
 
 
-def numbered(names: Sequence[str]) -> list[str]:
-    """Make names unique: those that occur more than once get a number, such as "dynamic-forward_2"."""
-    counts, numbers = Counter(names), Counter[str]()
+def numbered(tests: Sequence[tuple[str, Place, Place]]) -> list[tuple[str, Place, Place]]:
+    """Make names of tests unique: those that occur more than once get a number, "dynamic-forward_2".
+
+    Args:
+        tests: Name, begin and end of each test.
+    """
+    counts, numbers = Counter(name for name, _, _ in tests), Counter[str]()
     different = []
-    for name in names:
+    for name, begin, end in tests:
         numbers[name] += 1
-        different.append(f"{name}_{numbers[name]}" if counts[name] > 1 else name)
+        different.append((f"{name}_{numbers[name]}" if counts[name] > 1 else name, begin, end))
     return different
 
 
@@ -131,39 +111,29 @@ class SysIdLogs(LogFormat):
 
     @override
     def open(self, path: Path) -> list[Log]:
-        return [_test_log(path, test) for test in _read_tests(path)]
-
-
-def _test_log(path: Path, test: SysIdTest) -> Log:
-    """Return the log of a test, whose values are in memory."""
-
-    def read(indices: Sequence[int], progress: Progress | None) -> tuple[list[NDArray[Any]], list[str]]:
-        return [test.columns[index] for index in indices], []
-
-    columns = log_columns(test.names, [""] * len(test.names), ["number"] * len(test.names))
-    return Log(path, columns, test.remarks, read, test.name)
-
-
-def _read_tests(path: Path) -> list[SysIdTest]:
-    """Read the tests of a SysId file that have rows, slow ones first."""
-    try:
-        content = read_json(path)
-    except InputError as error:
-        raise InputError(f"{error}; {_ADVICE}") from None
-    tests = _tests(content)
-    if not tests:
-        raise InputError(f"{path}: is a JSON file without tests of SysId; {_ADVICE}")
-    is_sysid = "sysid" in content
-    unit, factor = _unit(path, content) if is_sysid or "units" in content else ("", 1.0)
-    of_unit = (
-        f"1 rotation is {factor:.6g} {unit}" if unit else "which does not state the unit of its positions"
-    )
-    program = (
-        f"SysId file ({content.get('test', 'mechanism')})" if is_sysid else "file of frc-characterization"
-    )
-    remark = f"it is a {program}, {of_unit}"
-    columns = _COLUMNS if is_sysid else _FRC_CHARACTERIZATION_COLUMNS
-    return [_read_test(path, name, rows, columns, unit, factor, remark) for name, rows in tests.items()]
+        """Read the tests that have rows, slow ones first."""
+        try:
+            content = read_json(path)
+        except InputError as error:
+            raise InputError(f"{error}; {_ADVICE}") from None
+        tests = _tests(content)
+        if not tests:
+            raise InputError(f"{path}: is a JSON file without tests of SysId; {_ADVICE}")
+        is_sysid = "sysid" in content
+        unit, factor = _unit(path, content) if is_sysid or "units" in content else ("", 1.0)
+        of_unit = (
+            f"1 rotation is {factor:.6g} {unit}" if unit else "which does not state the unit of its positions"
+        )
+        program = (
+            f"SysId file ({content.get('test', 'mechanism')})" if is_sysid else "file of frc-characterization"
+        )
+        layouts = _COLUMNS if is_sysid else _FRC_CHARACTERIZATION_COLUMNS
+        return [
+            vector_log(
+                path, _columns(path, name, rows, layouts, unit, factor), f"a {program}, {of_unit}", name
+            )
+            for name, rows in tests.items()
+        ]
 
 
 def _tests(content: Any) -> dict[str, list[Any]]:
@@ -187,21 +157,13 @@ def _unit(path: Path, content: dict[str, Any]) -> tuple[str, float]:
     return unit, float(per_rotation) * factor
 
 
-def _read_test(
-    path: Path,
-    name: str,
-    rows: list[Any],
-    columns_of_width: dict[int, tuple[str, ...]],
-    unit: str,
-    factor: float,
-    remark: str,
-) -> SysIdTest:
-    """Convert the rows of a test to columns."""
+def _columns(
+    path: Path, name: str, rows: list[Any], layouts: dict[int, tuple[str, ...]], unit: str, factor: float
+) -> list[tuple[str, Array]]:
+    """Return headers with units and values, shape (rows,) each, of the columns of a test."""
     width = len(rows[0]) if isinstance(rows[0], list) else 0
-    if width not in columns_of_width:
-        raise InputError(
-            f"{path}, {name}, row 1: must be a list of {' or '.join(map(str, columns_of_width))} numbers"
-        )
+    if width not in layouts:
+        raise InputError(f"{path}, {name}, row 1: must be a list of {' or '.join(map(str, layouts))} numbers")
     refuse_many_values(path, len(rows), width)
     for number, row in enumerate(rows, start=1):
         if (
@@ -216,10 +178,9 @@ def _read_test(
         raise InputError(
             f"{path}, {name}: has an integer beyond the range of floating-point numbers"
         ) from None
-    names, columns = [], []
-    for column, values in zip(columns_of_width[width], table.T, strict=True):
-        is_motion = column.endswith(" *")
+    columns = []
+    for column, values in zip(layouts[width], table.T, strict=True):
         per_second = "/s" if "velocity" in column else ""
-        names.append(column.replace(" *", f" [{unit}{per_second}]" if unit else ""))
-        columns.append(np.ascontiguousarray(values * factor) if is_motion else np.ascontiguousarray(values))
-    return SysIdTest(name, tuple(names), columns, (remark,))
+        header = column.replace(" *", f" [{unit}{per_second}]" if unit else "")
+        columns.append((header, np.ascontiguousarray(values * factor if column.endswith(" *") else values)))
+    return columns

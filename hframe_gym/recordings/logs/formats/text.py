@@ -62,9 +62,7 @@ def _tests(path: Path, layout: TextFormat) -> list[tuple[str, int, int]]:
         (cells,), _ = read_columns(path, layout, [column], lenient=True, texts=[column])
         states = _states(cells)
         if are_states(states):
-            tests = tests_of_states(states)
-            names = numbered([name for name, _, _ in tests])
-            return [(name, first, end) for name, (_, first, end) in zip(names, tests, strict=True)]
+            return numbered(tests_of_states(states))
     return []
 
 

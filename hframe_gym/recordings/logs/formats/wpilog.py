@@ -34,16 +34,9 @@ from .tables import MOST_ITEMS, Rows, TimedTable, log_of_tables, signal_columns
 
 _NUMBERS = {"boolean": "u1", "int64": "<i8", "float": "<f4", "double": "<f8"}  # NumPy types of the payloads
 _STRUCT_NUMBERS = {
+    **{f"{sign}int{bits}": f"<{sign or 'i'}{bits // 8}" for sign in ("", "u") for bits in (8, 16, 32, 64)},
     "bool": "u1",
     "char": "S1",
-    "int8": "i1",
-    "int16": "<i2",
-    "int32": "<i4",
-    "int64": "<i8",
-    "uint8": "u1",
-    "uint16": "<u2",
-    "uint32": "<u4",
-    "uint64": "<u8",
     "float": "<f4",
     "float32": "<f4",
     "double": "<f8",
@@ -205,9 +198,7 @@ def _tests(content: bytes, entries: Sequence[_Entry]) -> list[tuple[str, float, 
         for state, begin, end in tests_of_states(ordered):
             name = f"{entry.name.rpartition('/')[2]}_{state}" if len(marks) > 1 else state
             tests.append((name, float(times[begin]), float(times[end]) if end < len(times) else np.inf))
-    tests.sort(key=lambda test: test[1])
-    names = numbered([name for name, _, _ in tests])
-    return [(name, begin, end) for name, (_, begin, end) in zip(names, tests, strict=True)]
+    return numbered(sorted(tests, key=lambda test: test[1]))
 
 
 def _states(content: bytes, entry: _Entry) -> list[str]:
