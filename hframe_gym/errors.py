@@ -57,6 +57,12 @@ def example_names(name: object, names: Sequence[str]) -> str:
     return f"names are, for example, {', '.join(similar)}"
 
 
+def first_of(names: Sequence[str], most: int = 10) -> str:
+    """List the first names of several, or other short texts, in a message, and count the others."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
+
+
 def is_number(value: object) -> bool:
     """Return whether a value is a finite real number of Python or NumPy; a bool is not."""
     if not isinstance(value, numbers.Real) or isinstance(value, bool):

@@ -28,7 +28,7 @@ from benchmarks.gap.recorder import CHOSEN_S, LOGS_S, RATE_HZ, Recorder
 from hframe_gym.envs import Reach, Task, Track
 from hframe_gym.errors import InputError
 from hframe_gym.evaluation import BANDS, TimedController, settling_times
-from hframe_gym.recordings.machine_file import machine_to_dict
+from hframe_gym.recordings import machine_to_dict
 from tests.reference_simulator import Array
 
 NAME = "gap-v1"

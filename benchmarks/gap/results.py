@@ -34,7 +34,6 @@ RESAMPLES, BOOTSTRAP_SEED = 4000, 0
 # out effects that the optimization does not support; one that drives, such as a magnet, can make a move a
 # little faster.
 _POSSIBLE, _SAMPLE_S = 0.9, 1.1e-3
-DECIDES = {"reach": SETTLED, "circle": "path_rms_mm", "square": "path_rms_mm"}
 
 
 def new_content(name: str, entry: type[GapEntry], seed: int) -> dict[str, Any]:

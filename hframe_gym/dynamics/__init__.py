@@ -7,7 +7,6 @@ from .derivatives import DifferentiableMotion, Friction, Gradients, Motions
 from .motion_forces import (
     belt_forces,
     belt_states,
-    delayed_voltages,
     effect_forces,
     effect_states,
     net_forces,
@@ -44,7 +43,6 @@ __all__ = [
     "belt_forces",
     "belt_modes",
     "belt_states",
-    "delayed_voltages",
     "effect_forces",
     "effect_states",
     "in_blocks",

@@ -144,7 +144,7 @@ class EnvironmentBatch:
         A saved state fits only if it is equal.
         """
         # Pydantic takes long to import, and few save states.
-        from ..recordings.machine_file import machine_to_dict
+        from ..recordings import machine_to_dict
 
         config = self.config
         options = {

@@ -48,7 +48,7 @@ from .scenario import EpisodeConditions, Scenario, environments_of, episode_cond
 from .scorecard import write_scorecard
 from .stored_bounds import StoredBounds, condition_digests, stored_bounds
 from .timed_controller import TimedController
-from .undeclared_effects import EFFECT_FAMILIES, acting_effects, effect_rules, with_absent_effects
+from .undeclared_effects import EFFECT_FAMILIES, acting_effects, with_absent_effects
 
 __all__ = [
     "BANDS",
@@ -79,7 +79,6 @@ __all__ = [
     "compare_draws",
     "condition_digests",
     "dataset_controller",
-    "effect_rules",
     "environments_of",
     "episode_conditions",
     "evaluate",

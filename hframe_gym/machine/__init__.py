@@ -3,11 +3,9 @@
 This package holds no integrator and reads no files.
 """
 
-from .axis_unit import ARM, AXIS_UNITS, DEFAULT_TURNS, METERS, RADIANS, AxisUnit
+from .axis_unit import ARM, AXIS_UNITS, METERS, RADIANS, AxisUnit
 from .components import Belt, Coordinate, Drive, Row, Sensor
 from .declaration import (
-    FIXED_UNITS,
-    POSITIVE,
     UNITS,
     Attribute,
     Component,
@@ -59,12 +57,9 @@ __all__ = [
     "ARM",
     "AXIS_UNITS",
     "BUILTIN_MACHINES",
-    "DEFAULT_TURNS",
     "DRIVE_KINDS",
-    "FIXED_UNITS",
     "HOOKS",
     "METERS",
-    "POSITIVE",
     "RADIANS",
     "SENSED_QUANTITIES",
     "SENSOR_KINDS",

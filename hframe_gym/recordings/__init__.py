@@ -13,39 +13,34 @@ from .cleaning import (
     without_silences,
 )
 from .examples import copy_examples, examples_folder
-from .logs import (
-    NOT_MEASURED,
-    TIME,
-    ChannelSource,
+from .logs.log import Log, LogColumn
+from .logs.log_files import find_logs, open_logs, run_of
+from .logs.log_import import (
     ImportSettings,
     Interval,
-    Log,
-    LogColumn,
-    MappingOptions,
-    ProposedColumns,
-    accepted_units,
-    find_logs,
     import_logs,
-    log_name,
-    map_columns,
-    open_logs,
     parse_factor,
     parse_interval,
-    propose_columns,
     read_mapping_file,
-    run_of,
 )
-from .machine_file import (
+from .logs.log_mapping import (
+    NOT_MEASURED,
+    ChannelSource,
+    MappingOptions,
+    ProposedColumns,
+    map_columns,
+    propose_columns,
+)
+from .logs.measurement_units import TIME, accepted_units
+from .machine_file.machine_json import load_machine, machine_to_dict, save_machine
+from .machine_file.plausibility import implausible_values
+from .machine_file.schema import (
     TABLES,
     Table,
     field_descriptions,
     field_units,
     fields,
-    implausible_values,
-    load_machine,
     machine_json_schema,
-    machine_to_dict,
-    save_machine,
 )
 from .outliers import outlier_mask, without_outliers
 from .quantities import split_unit
@@ -60,21 +55,17 @@ from .recording import (
     write_trajectory,
 )
 from .tables.table_file import read_path, recording_files
-from .templates import (
-    TEMPLATES,
-    MachineOptions,
-    TemplateQuestion,
-    new_machine,
-    template_questions,
-    write_machine_template,
-)
+from .templates.commented_file import write_machine_template
+from .templates.new_machine import new_machine
+from .templates.options import MachineOptions
+from .templates.questions import TemplateQuestion, template_questions
+from .templates.texts import TEMPLATES
 from .wrapping import (
     Wrap,
     find_wrap,
     jumps_between_ends,
     known_moduli,
     shared_wraps,
-    switching_rows,
     unwrapped,
     without_shared_wraps,
     without_wraps,
@@ -118,7 +109,6 @@ __all__ = [
     "load_machine",
     "load_recording",
     "load_recordings",
-    "log_name",
     "machine_json_schema",
     "machine_to_dict",
     "map_columns",
@@ -141,7 +131,6 @@ __all__ = [
     "save_machine",
     "shared_wraps",
     "split_unit",
-    "switching_rows",
     "template_questions",
     "unwrapped",
     "usual_step",

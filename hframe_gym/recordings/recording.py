@@ -19,7 +19,7 @@ from ..errors import InputError
 from ..files import atomic_file
 from ..line_log import LineLog
 from ..machine import DRIVE_KINDS, Drive, Machine, Trajectory
-from .machine_file import load_machine
+from .machine_file.machine_json import load_machine
 from .quantities import split_unit
 from .tables.table_file import (
     SUFFIXES,

@@ -14,7 +14,7 @@ import pytest
 from hframe_gym.agents import train
 from hframe_gym.agents.checkpoint_signature import key_file, refuse_unsigned, sign_checkpoint
 from hframe_gym.errors import InputError
-from hframe_gym.recordings.machine_file import TABLES
+from hframe_gym.recordings import TABLES
 
 from .commands import hostile_parts, run_command
 from .materials import answer_curves, answer_machine, answer_report, machine_content, run_text, write_material

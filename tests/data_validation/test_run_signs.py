@@ -21,7 +21,6 @@ TIME = np.arange(600) * PERIOD_S
 STEP = np.full_like(TIME, 12.0)
 RAMP = np.linspace(1.0, 12.0, len(TIME))
 STAIRS = np.repeat([3.0, 6.0, 12.0, 8.0, 4.0, 10.0], 100)
-TO_AND_FRO = np.repeat([3.0, -6.0, 12.0, -8.0, 4.0, -10.0], 100)
 
 
 def motor(kind: str, *effects: AppliedEffect) -> Machine:

@@ -17,8 +17,17 @@ from hframe_gym.identification.fit.run_differences import find_run_differences
 from hframe_gym.identification.predict.free_parameters import default_free_parameters
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
 from hframe_gym.machine import Coordinate, Drive, Machine, Sensor
-from hframe_gym.recordings import Recording, load_recording, machine_to_dict, save_machine
-from hframe_gym.recordings.logs import ImportSettings, MappingOptions, import_logs, open_logs, propose_columns
+from hframe_gym.recordings import (
+    ImportSettings,
+    MappingOptions,
+    Recording,
+    import_logs,
+    load_recording,
+    machine_to_dict,
+    open_logs,
+    propose_columns,
+    save_machine,
+)
 from tests.dynamics.test_reference_step import largest_difference
 from tests.reference_simulator.axis import Axis, Servo, held_levels, record
 

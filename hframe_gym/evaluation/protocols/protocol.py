@@ -33,7 +33,7 @@ from ...envs import RANDOMIZATION_PRESETS, Reach, Task, Track, as_machine
 from ...envs.actuation.actuators import ACTUATOR_PRESETS
 from ...errors import InputError, suggestion
 from ...machine import Machine
-from ...recordings.machine_file import machine_to_dict
+from ...recordings import machine_to_dict
 from ..episodes import Episodes
 from ..metrics import BANDS, settling_times
 from ..scenario import Scenario, episode_conditions

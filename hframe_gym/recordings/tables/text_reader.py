@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...arrays import Array
-from ...errors import InputError
+from ...errors import InputError, first_of
 from ...files import refuse_expansion, refuse_long_line, refuse_many_values
 from .cells import MISSING_WORDS, NUMBER, is_missing, is_number_or_stamp, is_row, split_row
 from .text_format import TextFormat, open_text
@@ -323,13 +323,17 @@ class _BlockReader:
         remarks = []
         width = len(self._layout.names)
         if self.damaged:
-            rows = _listed([f"row {number} has {len(row)}" for number, row in self.damaged])
+            rows = first_of([f"row {number} has {len(row)}" for number, row in self.damaged], _NAMED)
             remarks.append(f"damaged rows are left empty: {rows} instead of {width} cells")
         if self.garbled:
-            cells = _listed([f"row {number}, column {name}: {cell!r}" for number, name, cell in self.garbled])
+            cells = first_of(
+                [f"row {number}, column {name}: {cell!r}" for number, name, cell in self.garbled], _NAMED
+            )
             remarks.append(f"garbled numbers are left empty: {cells}")
         if self.texts_among:
-            lines = _listed([f"{_words(row)!r} after row {number}" for number, row in self.texts_among])
+            lines = first_of(
+                [f"{_words(row)!r} after row {number}" for number, row in self.texts_among], _NAMED
+            )
             remarks.append(f"lines of text between the rows are left out: {lines}")
         return remarks
 
@@ -435,9 +439,3 @@ def _words(cells: Sequence[str]) -> str:
     """Return the beginning of the text in a row for a message."""
     words = " ".join(filter(None, map(str.strip, cells)))
     return words if len(words) <= _SHOWN else f"{words[:_SHOWN]}..."
-
-
-def _listed(places: Sequence[str]) -> str:
-    """List the first places of damage for a remark, and count the others."""
-    more = f" and {len(places) - _NAMED} more" if len(places) > _NAMED else ""
-    return ", ".join(places[:_NAMED]) + more

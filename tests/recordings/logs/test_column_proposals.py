@@ -7,7 +7,7 @@ import pytest
 
 from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES, Sensor
-from hframe_gym.recordings.logs import MappingOptions, open_logs, propose_columns
+from hframe_gym.recordings import MappingOptions, open_logs, propose_columns
 from hframe_gym.recordings.logs.log_mapping import map_columns
 from hframe_gym.recordings.logs.measurement_units import wrong_unit_message
 

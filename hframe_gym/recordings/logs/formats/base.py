@@ -83,10 +83,4 @@ def require_extra(path: Path, what: str, extra: str, modules: Sequence[str], adv
         raise InputError(f"{path}: reading {what} needs pip install 'hframe_gym[{extra}]'; or {advice}")
 
 
-def first_of(names: Sequence[str]) -> str:
-    """Return the first ten names, and the number of the others, in one text."""
-    more = f" and {len(names) - 10} more" if len(names) > 10 else ""
-    return ", ".join(names[:10]) + more
-
-
 LOG_FORMATS: Registry[type[LogFormat]] = Registry("log format")

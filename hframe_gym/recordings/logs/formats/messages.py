@@ -16,11 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ....errors import InputError
+from ....errors import InputError, first_of
 from ....files import refuse_many_values
 from ...tables.text_reader import Progress
 from ..log import Log
-from .base import first_of
 from .tables import MOST_ITEMS, Rows, TimedTable, log_of_tables, signal_columns
 
 _SAMPLE = 10  # first messages of a topic, from which its numbers follow

@@ -23,12 +23,12 @@ import numpy as np
 from typing_extensions import override
 
 from ....arrays import Array
-from ....errors import InputError
+from ....errors import InputError, first_of
 from ....files import refuse_many_values
 from ...quantities import is_unit, normalize_unit
 from ...tables.text_reader import Progress
 from ..log import Log
-from .base import KNOWN_CONTENT, LOG_FORMATS, LogFormat, first_of
+from .base import KNOWN_CONTENT, LOG_FORMATS, LogFormat
 from .sysid import NO_TEST, STATES, are_states, numbered, tests_of_states
 from .tables import MOST_ITEMS, Rows, TimedTable, log_of_tables, signal_columns
 
