@@ -21,7 +21,7 @@ from ..fit.long_run_variance import long_run_variance
 from ..fit.model_error import continue_fit, fit_with_model_error, has_narrowest_observer, narrower_observer
 from ..fit.slow_logs import fit_by_instruments
 from ..fit.start_estimation import refine_dataset
-from ..forces.force_sizes import drive_force, effect_force, force_difference, residue_force
+from ..forces.force_sizes import effect_force, force_difference, residue_force
 from ..forces.missing_force import follow_runs, sensor_combinations
 from ..judge import effect as judge
 from ..judge.criteria import SelectionCriteria
@@ -154,7 +154,6 @@ def effect_evidence(reduced: TestedFit, tested: TestedFit, effect: AppliedEffect
         chance_narrower=None if has_narrowest_observer(with_effect, data) else narrower,
         forces=lambda: _forces(without, with_effect, effect, data),
         forces_accurate=lambda: _forces_at_likeliest(without, tested, effect),
-        drives=lambda: drive_force(with_effect.machine, data),
         additions=lambda: _additions(without, with_effect, effect, data),
         parameters=parameter_values(effect.label, with_effect),
         disagreement=_disagreement_of_sensors(without, with_effect, effect, data),

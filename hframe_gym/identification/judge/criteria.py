@@ -118,8 +118,6 @@ class SelectionCriteria(SearchEffort):
         min_confirmed_fraction: Smallest fraction of an effect's gain that remains if its parameters are
             fitted to the other runs (leave-one-run-out), and those of the machine to all runs beside them.
         min_force_ratio: Smallest force of an effect relative to the force that remains unexplained beside it.
-        min_drive_force_ratio: Smallest force of an effect relative to that of the drives. Amplifiers and
-            numerical integration have larger errors.
         max_form_error: Ratio of the forces of two effects that depend on the same variable of the same
             component, but are of different families. If the ratio is smaller, the smaller effect is rejected:
             it may only correct an error in the formula of the larger one.
@@ -151,7 +149,6 @@ class SelectionCriteria(SearchEffort):
     rival_gain_fraction: float = 0.97
     min_confirmed_fraction: float = 0.3
     min_force_ratio: float = 1.0
-    min_drive_force_ratio: float = 2e-5
     max_form_error: float = 0.2
     max_table_cross_validation: float = 0.4
     explained_chi2: float = 1.5

@@ -181,7 +181,6 @@ class EffectEvidence:
         chance_narrower: The same at the next narrower observer; None for a simulation.
         forces: Forces of the effect and of the residue, at the observer of the fits.
         forces_accurate: The same at the most likely observer of the machine with the effect.
-        drives: Force of the drives, N.
         additions: What the effect adds to each effect of another family that depends on the same variable.
         parameters: Its fitted parameters.
         beside_voltages: Reduction of the cost that unknown voltages between the rows cannot explain; None if
@@ -204,7 +203,6 @@ class EffectEvidence:
     chance_narrower: Callable[[], Chance] | None
     forces: Callable[[], Forces]
     forces_accurate: Callable[[], Forces]
-    drives: Measured
     additions: Callable[[], Iterable[Addition]]
     parameters: Sequence[ParameterValue] = ()
     beside_voltages: Measured | None = None
@@ -410,7 +408,7 @@ def _by_chance(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
 
 
 def _too_small(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
-    """Return the doubt about an effect below what is unexplained or negligible beside the drives, or ""."""
+    """Return the doubt about an effect with less force than remains unexplained, or ""."""
     # Without a force of its own, an effect is compared with all that the observer corrects. In a slow log,
     # unknown voltages cause that, also in the true machine, as far as noise and they explain the data.
     if (
@@ -419,9 +417,7 @@ def _too_small(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
         and nearly_explains(evidence.with_effect, criteria)
     ):
         return ""
-    forces, drives = evidence.forces(), evidence.drives()
-    if forces.effect < criteria.min_drive_force_ratio * drives and not evidence.forceless:
-        return f"has a force of {forces.effect:.2g} N, {forces.effect / drives:.1g} of that of the drives"
+    forces = evidence.forces()
     # An observer shows little of a slow force. Where the machine with an effect that has none of its own
     # nearly explains the data, rounding errors of encoders may be most of what the observer corrects, without
     # and with it.

@@ -38,7 +38,6 @@ CALIBRATED = SelectionCriteria(
     min_trial_gain=0.5,
     min_confirmed_fraction=0.3,
     min_force_ratio=1.0,
-    min_drive_force_ratio=2e-05,
     max_form_error=0.2,
     max_effects=5,
     max_full_fits=6,

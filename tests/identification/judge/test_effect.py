@@ -53,7 +53,6 @@ def evidence(without: float = 1.4, with_effect: float = 1.2, **known: Any) -> Ef
         chance_narrower=None,
         forces=lambda: Forces(1.0, 0.1),
         forces_accurate=lambda: Forces(1.0, 0.1),
-        drives=lambda: 10.0,
         additions=lambda: (),
     )
     eager = ("forceless", "parameters")
@@ -156,12 +155,6 @@ FORM = (
             "has a force of 0.2 N, where 0.2 N remain unexplained",
         ),
         ({"forces": Forces(0.09, 0.2)}, "has a force of 0.09 N, where 0.2 N remain unexplained"),  # no doubt
-        ({"forces": Forces(2.1e-4, 0.0)}, ""),
-        ({"forces": Forces(1.9e-4, 0.0)}, "has a force of 0.00019 N, 2e-05 of that of the drives"),
-        (
-            {"forces": Forces(1.9e-4, 0.0), "forceless": True},
-            "",
-        ),  # it has no force at the machine's coordinates
         (
             {"forces": Forces(0.1, 0.3), "forceless": True, "with_effect": 1.6, "without": 2.0},
             "explains a force of 0.1 N, where 0.3 N remain unexplained",
