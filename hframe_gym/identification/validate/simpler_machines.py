@@ -9,20 +9,22 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
+from ...effects.smooth_table import TABLE_FAMILY
 from ...line_log import LineLog
-from ...machine import Machine
+from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset
 from ...preparation.excerpt import is_long, representative_part
 from ..budget import LAST_STAGE_END, Budget, BudgetEndedError
 from ..evidence.held_out import contradicting_held_out_runs
-from ..evidence.tried_effects import SelectedEffect
-from ..fit.estimation import Fit, prediction_cost
+from ..evidence.tried_effects import SelectedEffect, Selection
+from ..fit.estimation import Fit, describe_gain, prediction_cost
 from ..fit.plain_fit import PlainFit, equally_weighted, refined_equally
 from ..judge.criteria import SelectionCriteria
 from ..judge.delivery import (
@@ -33,9 +35,11 @@ from ..judge.delivery import (
     is_worse_than,
     needs_description,
 )
+from ..judge.error import AS_GOOD
 from ..predict.prediction import SIMULATION
+from ..propose.trial_fits import fit_with_effects
 from ..search.forward_selection import EffectSearch
-from ..search.outcome import without_names
+from ..search.outcome import SearchOutcome, without_names
 from .evaluation import Evaluated, HeldOutTest, HeldOutTests, Judged, with_certain_effects
 from .machine_errors import ModelEvaluation, error_ratio
 
@@ -409,7 +413,26 @@ def _further_descriptions(
     """Search for effects that describe what is left beside inertia and friction."""
     start = fit_to_describe(plain, evaluated, budget)
     part = representative_part(evaluated.outcome.data, start.machine)
-    yield from descriptions(start, part, evaluated.test.criteria, log, budget, helps)
+    known = effects_of_search(evaluated.outcome)
+    yield from descriptions(start, part, evaluated.test.criteria, log, budget, helps, known)
+
+
+def effects_of_search(outcome: SearchOutcome) -> tuple[AppliedEffect, ...]:
+    """Return the effects that a search fitted but does not name, with the values that it found for them.
+
+    Effects that add coordinates and tables are left out: their fits begin from the declared machine.
+
+    Args:
+        outcome: Outcome of a search.
+    """
+    known = {e.label for e in outcome.before.machine.effects}
+    found: dict[str, AppliedEffect] = {}
+    for considered in outcome.considered:
+        for effect in considered.machine.effects:
+            definition = effect.definition
+            if not definition.structure and definition.family != TABLE_FAMILY and effect.label not in known:
+                found.setdefault(effect.label, effect)
+    return tuple(found.values())
 
 
 def fit_to_describe(plain: PlainFit, evaluated: Evaluated, budget: Budget) -> Fit:
@@ -503,12 +526,21 @@ def description_sentence(
 
 
 def descriptions(
-    start: Fit, data: Dataset, criteria: SelectionCriteria, log: LineLog, budget: Budget, helps: Helps
+    start: Fit,
+    data: Dataset,
+    criteria: SelectionCriteria,
+    log: LineLog,
+    budget: Budget,
+    helps: Helps,
+    known: Sequence[AppliedEffect] = (),
 ) -> Iterator[tuple[Fit, tuple[str, ...]]]:
     """Search for a description: add, one by one, the effects that reduce the simulation error most.
 
     The held-out runs must confirm each effect. One that they do not confirm is tried again after all others,
     because it may describe something that only the fitted runs contain.
+
+    Far from the data, linearized gains overlook effects, and fits from typical values end elsewhere. The first
+    effect may therefore also be one of the search, from the values that it has there.
 
     Args:
         start: Fit in simulation, for example a plain fit.
@@ -517,6 +549,7 @@ def descriptions(
         log: Called with a line of text at each stage.
         budget: Budget of the identification, of which the searches may use at most 40 % and 45 s.
         helps: Function of a machine with one more effect that returns whether the held-out runs confirm it.
+        known: Effects with the values that short predictions gave them. Default: none.
 
     Yields:
         Fit with one more effect in simulation, and the labels of all; nothing if no effect passes the tests,
@@ -528,7 +561,7 @@ def descriptions(
     log("describing the remaining error of complete runs")
     equal = equally_weighted(data)
     cost = prediction_cost(start.machine, equal, SIMULATION)
-    current = dataclasses.replace(start, bandwidth=SIMULATION, cost=cost, count=equal.count)
+    begin = current = dataclasses.replace(start, bandwidth=SIMULATION, cost=cost, count=equal.count)
     selected: tuple[SelectedEffect, ...] = ()
 
     def drawback(fitted: Fit) -> str:
@@ -544,9 +577,37 @@ def descriptions(
                 current, found = search.run(current, selected)
         except BudgetEndedError:
             current, found = search.reached or (current, selected)
+        if not selected:
+            with suppress(BudgetEndedError), stage.limiting():
+                for effect in known:
+                    current, found = _or_known((current, found), begin, effect, equal, helps, log)
         if len(found) == len(selected):
             return
         selected, equal = found, search.data
         with budget.limiting(LAST_STAGE_END, delivers=True):
             refined = refined_equally(current, equal)
         yield refined, tuple(s.effect.label for s in selected)
+
+
+def _or_known(
+    found: Selection, start: Fit, effect: AppliedEffect, data: Dataset, helps: Helps, log: LineLog
+) -> Selection:
+    """Return the first effect of a description, or a known effect if that leaves less or alone is confirmed.
+
+    Args:
+        found: Fit with the first effect; `start` without one.
+        start: Fit in simulation, without the effect.
+        effect: The known effect, from whose values the fit begins.
+    """
+    try:
+        trial = fit_with_effects(start, [effect], data)
+    except ValueError:  # the machine lacks what the effect needs, or has it already
+        return found
+    log(f"  {effect.label} of the search {describe_gain(start, trial)}")
+    best, selected = found
+    leaves_less = AS_GOOD * trial.cost < best.cost
+    alone = trial.cost < start.cost and not (selected and helps(best.machine))
+    if not ((leaves_less or alone) and helps(trial.machine)):
+        return found
+    gain = (start.cost - trial.cost) / data.count
+    return trial, (SelectedEffect(trial.machine.effects[-1], gain, start.machine),)

@@ -413,6 +413,40 @@ def test_the_next_effect_describes_where_the_held_out_runs_do_not_confirm_the_be
     assert any(line.startswith("  quadratic_drag@x waits for others") for line in lines)
 
 
+@pytest.mark.parametrize(
+    ("confirmed_labels", "known_force", "expected"),
+    [
+        ({"drag_of_the_search@x"}, 30.0, "drag_of_the_search@x"),  # no other effect is confirmed
+        ({"drag_of_the_search@x", "quadratic_drag@x"}, 30.0, "quadratic_drag@x"),  # which leaves as little
+        (set(), 30.0, "quadratic_drag@x"),
+    ],
+)
+def test_an_effect_of_the_search_describes_where_no_other_one_is_confirmed(
+    confirmed_labels: set[str], known_force: float, expected: str
+) -> None:
+    """The search for a description overlooks it, here because it is not in the library."""
+    true = axis(TRUE).with_effects(EFFECTS["quadratic_drag"].at("x", c=40.0))
+    data = prepare(measure(true)[:2], axis(TRUE))
+    plain = plain_fit(axis(TRUE), data)
+    assert plain is not None
+    drag = dataclasses.replace(EFFECTS["quadratic_drag"], name="drag_of_the_search").at("x", c=known_force)
+    belongs_elsewhere = EFFECTS["quadratic_drag"].at("no_coordinate", c=1.0)
+    lines: list[str] = []
+    found = descriptions(
+        plain.simulated,
+        data,
+        SelectionCriteria(),
+        lines.append,
+        Budget(),
+        lambda machine: machine.effects[-1].label in confirmed_labels,
+        (belongs_elsewhere, drag),
+    )
+    fitted, labels = next(found)
+    assert labels == (expected,)
+    assert fitted.machine.effects[-1].parameters["c"] == pytest.approx(40.0, rel=0.05)
+    assert any(line.startswith("  drag_of_the_search@x of the search reduces") for line in lines)
+
+
 def test_a_description_may_correct_the_form_of_its_first_effect() -> None:
     """A spring, and friction with a tenth of its force over position: both true, a third is missing."""
     true = axis(TRUE).with_effects(

@@ -13,7 +13,7 @@ import pytest
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import SelectionCriteria
 from hframe_gym.identification.budget import Budget
-from hframe_gym.identification.evidence.tried_effects import SelectedEffect
+from hframe_gym.identification.evidence.tried_effects import ConsideredEffect, SelectedEffect
 from hframe_gym.identification.fit.channel_errors import ChannelError
 from hframe_gym.identification.fit.estimation import Fit
 from hframe_gym.identification.fit.plain_fit import PlainFit
@@ -23,6 +23,7 @@ from hframe_gym.identification.validate.evaluation import Evaluated, Judged
 from hframe_gym.identification.validate.machine_errors import ModelEvaluation, PredictionErrors
 from hframe_gym.identification.validate.simpler_machines import (
     best_description,
+    effects_of_search,
     fit_to_describe,
     no_worse,
 )
@@ -94,6 +95,22 @@ def withdrawn_names(machine: Machine, errors_of: dict[tuple[str, ...], float], v
     found = SearchOutcome(before, False, False, "effect_found", after, (spring,), (), DATA)
     without = without_names(found, "too much remains")._replace(verdict=verdict)
     return Judged(runs.evaluate(without)._replace(reason="too much remains"), runs.evaluate(found))
+
+
+def test_effects_of_a_search_are_those_that_it_fitted_beside_each_other() -> None:
+    """What the declared machine has, and what adds coordinates, is none of them."""
+    declared = AXIS.replace(effects=(FORCE,))
+    payload = EFFECTS["payload_swing"]
+    swinging = payload.at("x", **{p.name: 1.0 for p in payload.parameters})
+    drag, stiffer = EFFECTS["quadratic_drag"].at("x", c=1.0), EFFECTS["cable_spring"].at("x", k=20.0, q0=0.0)
+    both, three = declared.with_effects(SPRING, drag), declared.with_effects(stiffer, drag, swinging)
+    considered = (
+        ConsideredEffect(drag, both, declared.with_effects(SPRING), "may be chance"),
+        ConsideredEffect(swinging, three, both, "explains too little"),
+    )
+    before = fit_of(declared)
+    outcome = SearchOutcome(before, False, False, "unexplained", before, (), considered, DATA)
+    assert effects_of_search(outcome) == (SPRING, drag)
 
 
 @pytest.mark.parametrize("machine", [STAGE, AXIS])
