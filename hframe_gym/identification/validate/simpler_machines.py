@@ -539,8 +539,8 @@ def descriptions(
     The held-out runs must confirm each effect. One that they do not confirm is tried again after all others,
     because it may describe something that only the fitted runs contain.
 
-    Far from the data, linearized gains overlook effects, and fits from typical values end elsewhere. The first
-    effect may therefore also be one of the search, from the values that it has there.
+    Far from the data, linearized gains overlook effects, and fits from typical values end elsewhere. The
+    first effect may therefore also be one of the search, from the values that it has there.
 
     Args:
         start: Fit in simulation, for example a plain fit.
