@@ -10,11 +10,12 @@ from scipy.signal import savgol_coeffs, savgol_filter
 
 from ..arrays import Array, Measurements, Quanta, Times
 from ..recordings import quantum_of
-from ..robust_statistics import white_noise
+from ..robust_statistics import std_by_median, white_noise
 
 _CURVE_ROWS = 21  # Measurements of a curve; in slow motion, they extend over several quanta.
 _ROUNDING_ACCURACY = 1.2  # Rounding alone is estimated up to 12 % too large.
 _MIN_RESTING_ROWS = 30  # Fewer resting rows of all runs together do not give a standard deviation.
+_NO_CHANGE = 1e-12  # Third differences below this fraction of the largest value are rounding errors.
 _REST_S = 0.02  # s; a quantized measurement that stays the same for longer shows that the sensor is at rest
 
 
@@ -65,9 +66,9 @@ def sensor_noise(
     """Estimate the standard deviation of a sensor's noise.
 
     The first of these sources that is available is used: about 30 measurements at rest, the declared value,
-    third differences of the measurements. For a sensor with a quantum, deviations from a smooth curve
-    (Savitzky and Golay 1964) replace the third differences if they are smaller. The result is at least the
-    rounding error, quantum / sqrt(12).
+    third differences of the measurements (of straight lines, those at their kinks). For a sensor with a
+    quantum, deviations from a smooth curve (Savitzky and Golay 1964) replace the third differences if they
+    are smaller. The result is at least the rounding error, quantum / sqrt(12).
 
     Args:
         channel: Measurements of the sensor by run, m or rad, each of shape (n,), NaN where not measured.
@@ -84,7 +85,7 @@ def sensor_noise(
     if at_rest is not None:
         return max(at_rest, rounding) or declared or difference_noise(channel)
     if declared or not quantum:
-        return max(rounding, declared or difference_noise(channel))
+        return max(rounding, declared or difference_noise(channel), 0.0 if declared else _kink_noise(channel))
     # The steps of slow motion raise third differences, vibration the deviations from a curve; noise raises
     # both.
     estimate = min(difference_noise(channel), _curve_noise(channel))
@@ -104,6 +105,22 @@ def difference_noise(channel: Sequence[Array]) -> float:
     if all(len(values) <= 3 for values in measured):
         return 1.0
     return max(white_noise(measured, 3), 1e-12)
+
+
+def _kink_noise(channel: Sequence[Array]) -> float:
+    """Estimate the noise, m or rad, of a measurement that consists of straight lines; 0 for any other.
+
+    A logger that averages over some pulses or interpolates writes such lines. Most of their third differences
+    vanish, and the median of all would say that there is no noise: the errors are in the kinks.
+    """
+    measured = [values[np.isfinite(values)] for values in channel]
+    differences = np.abs(np.concatenate([np.diff(values, 3) for values in measured]))
+    largest = max((np.abs(values).max() for values in measured if len(values)), default=0.0)
+    kinks = differences[differences > _NO_CHANGE * largest]
+    fraction = len(kinks) / max(len(differences), 1)
+    if not 0.0 < fraction <= 0.5:
+        return 0.0
+    return float(std_by_median(kinks)) * math.sqrt(fraction / math.comb(6, 3))
 
 
 def _curve_noise(channel: Sequence[Array]) -> float:

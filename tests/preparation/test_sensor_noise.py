@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hframe_gym.preparation.sensor_noise import independent_values, sensor_noise, sensor_quantum
+from hframe_gym.preparation.sensor_noise import (
+    difference_noise,
+    independent_values,
+    sensor_noise,
+    sensor_quantum,
+)
 from hframe_gym.recordings import quantum_of
 
 QUANTUM = 5.2e-4
@@ -110,3 +115,17 @@ def test_noise_of_a_slow_sensor_comes_from_its_measurements() -> None:
     values = np.full(5000, np.nan)
     values[::5] = rng.normal(0.0, 20e-6, 1000)
     assert sensor_noise([values], [1], 0.0, 0.0) == pytest.approx(20e-6, rel=0.2)
+
+
+def test_noise_of_straight_lines_is_that_of_their_kinks() -> None:
+    """A logger that averages over pulses writes lines of 10 rows: most third differences vanish."""
+    rng = np.random.default_rng(4)
+    ends = 80.0 + rng.normal(0.0, 0.3, 301)
+    lines = np.interp(np.arange(3000), np.arange(301) * 10, ends)
+    noise = sensor_noise([lines], [1], 0.0, 0.0)
+    assert 0.003 < noise < 0.3
+    assert sensor_noise([10.0 * lines, 10.0 * lines], [1, 1], 0.0, 0.0) == pytest.approx(10.0 * noise)
+    assert sensor_noise([lines], [1], 0.0, 2e-5) == 2e-5
+    # Without kinks and with a kink in every row, third differences decide as before.
+    smooth = np.sin(np.arange(3000) * 1e-3)
+    assert sensor_noise([smooth], [1], 0.0, 0.0) == pytest.approx(difference_noise([smooth]))
