@@ -378,8 +378,9 @@ def effect_parameters(
 
     The optimizer changes one dimensionless variable theta per parameter. With the starting value and the
     typical size of a parameter, its value is start * exp(theta) if it must be positive, and start + size *
-    theta for an amplitude, a phase, or a parameter that may be zero or negative. The ordinates of a table (a
-    curve given by its values at knots) are size * theta.
+    theta for an amplitude, a phase, a parameter that may be zero or negative, or one that starts at its upper
+    bound, from which a logarithm does not reach zero. The ordinates of a table (a curve given by its values
+    at knots) are size * theta.
 
     Args:
         effect: Effect with its starting values.
@@ -412,7 +413,7 @@ def effect_parameters(
             free.append(
                 FreeParameter(name, value, prior=_period_prior(p, value, at_site), lower=lower, upper=upper)
             )
-        elif p.lower < 0.0 or value == 0.0:
+        elif p.lower < 0.0 or value in (0.0, p.upper):
             free.append(FreeParameter(name, value, prior=3.0, scale=size, lower=lower, upper=upper))
         else:
             free.append(FreeParameter(name, value, 1.0, lower=lower, upper=upper, switch=p.role == "switch"))

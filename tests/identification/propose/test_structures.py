@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
+
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import default_free_parameters, fit, prepare
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
+from hframe_gym.identification.propose.candidates import effect_parameters
 from hframe_gym.identification.propose.structures import screen_structures
-from hframe_gym.identification.propose.typical_scales import typical_scales
-from hframe_gym.machine import Machine
+from hframe_gym.identification.propose.typical_scales import scales_of_motion, typical_scales
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from tests.identification.propose.recorded_axis import recorded
 
 
@@ -35,6 +38,19 @@ def test_a_parameter_at_its_limit_takes_nothing_from_an_effect(axis: Machine) ->
     assert any(f.at_limit(t) for f, t in zip(current.free, current.theta, strict=True))
     best, *_ = screen_structures(current, data, typical_scales(current, data), 0.25 * current.chi2)
     assert best.effects[-1].label == "payload_swing@x"
+
+
+def test_fits_of_a_gap_reach_teeth_without_damping_and_without_rebound() -> None:
+    """From teeth without rebound, the logarithm of the damping ratio would end at exp(-4)."""
+    machine, gap = BUILTIN_MACHINES["hframe"](), EFFECTS["gear_backlash"]
+    motion, volts = np.ones((2, 4)), np.ones((2, 2))
+    (start,) = gap.parameter("Z").grid
+    effect = gap.at("motor1", d=1e-3, J=4e-5, F=0.02, B=1e-3, K=300.0, Z=start)
+    scales = scales_of_motion(machine, motion, motion, [volts])
+    free = effect_parameters(effect, machine.with_effects(effect), scales)
+    ratio = next(f for f in free if f.name == f"{effect.label}.Z")
+    low, high = (float(ratio.value(np.float64(theta))) for theta in ratio.theta_limits)
+    assert (low, high) == (0.0, 1.0)
 
 
 def test_which_effects_replace_a_part_of_the_model() -> None:
