@@ -7,6 +7,7 @@ al. (2010), section V, report without explanation.
 """
 
 import dataclasses
+import math
 
 from ..machine import AppliedEffect, Coordinate, Effect, EffectParameter, Machine
 
@@ -65,6 +66,11 @@ def structure(machine: Machine, effect: AppliedEffect) -> Machine:
     return machine.with_components(yaw, *belts, *sensors, ties=tied)
 
 
+def fastest(machine: Machine, effect: AppliedEffect) -> float:
+    """Return the natural frequency of the yaw angle on the guides, sqrt(k/J), rad/s."""
+    return math.sqrt(effect.parameters["k"] / effect.parameters["J"])
+
+
 EFFECT = Effect(
     name="bridge_yaw",
     site="machine",
@@ -74,6 +80,7 @@ EFFECT = Effect(
     coordinate="yaw",
     structure=structure,
     fits=fits,
+    fastest=fastest,
     parameters=(
         EffectParameter("J", "kg m^2", 1e-5, 1e3, scale=0.1, grid=(0.03, 0.15)),
         EffectParameter("k", "Nm/rad", 1.0, 1e8, scale=100.0, grid=(500.0, 2e3, 8e3, 3e4)),

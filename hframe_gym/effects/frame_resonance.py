@@ -54,6 +54,11 @@ def structure(machine: Machine, effect: AppliedEffect) -> Machine:
     return machine.with_components(frame, *sensors, ties=ties)
 
 
+def fastest(machine: Machine, effect: AppliedEffect) -> float:
+    """Return the natural frequency of the frame, rad/s, or the rate of its damping, 2 zeta w."""
+    return 2.0 * math.pi * effect.parameters["f0"] * max(1.0, 2.0 * effect.parameters["zeta"])
+
+
 EFFECT = Effect(
     name="frame_resonance",
     site="coordinate",
@@ -64,6 +69,7 @@ EFFECT = Effect(
     structure=structure,
     fits=fits,
     fits_site=fits_site,
+    fastest=fastest,
     parameters=(
         EffectParameter(
             "f0", "Hz", 0.5, 500.0, scale=10.0, grid=(7.0, 9.0, 11.5, 15.0, 19.0, 24.0, 31.0, 40.0)

@@ -63,6 +63,13 @@ def rigid(machine: Machine, effect: AppliedEffect) -> Machine:
     return machine.replace({f"{carriage.name}.mass": carriage.mass * (1.0 + effect.parameters["r"])})
 
 
+def fastest(machine: Machine, effect: AppliedEffect) -> float:
+    """Return the rate, rad/s, of load and carriage against each other, w sqrt(1 + r), or its damping."""
+    values = effect.parameters
+    w, total = 2.0 * math.pi * values["f0"], 1.0 + values["r"]
+    return w * max(math.sqrt(total), 2.0 * values["zeta"] * total)
+
+
 EFFECT = Effect(
     name="payload_swing",
     site="coordinate",
@@ -75,6 +82,7 @@ EFFECT = Effect(
     structure=structure,
     rigid=rigid,
     fits_site=fits_site,
+    fastest=fastest,
     parameters=(
         EffectParameter(
             "f0",

@@ -117,6 +117,31 @@ def test_the_integration_step_resolves_stiff_belts(hframe: Machine) -> None:
     assert 2 * np.pi * mode_frequencies(stiff).max() * step == pytest.approx(0.75)
 
 
+@pytest.mark.parametrize(
+    ("label", "values"),
+    [
+        ("payload_swing@x", {"f0": 500.0, "zeta": 1.0, "r": 1.0}),
+        ("payload_swing@x", {"f0": 500.0, "zeta": 0.0, "r": 30.0}),
+        ("frame_resonance@x", {"f0": 500.0, "zeta": 1.0, "r": 0.1, "s": 0.0}),
+        ("bridge_yaw@machine", {"J": 1e-3, "k": 1e6, "c": 0.0, "w": 0.25}),
+        ("belt_damping@belts", {"c": 1e-2}),
+    ],
+)
+def test_the_integration_step_resolves_what_effects_add(label: str, values: dict[str, float]) -> None:
+    """Without it, stiff or strongly damped parts diverge; the belts are stiff, and friction is only viscous."""
+    linear = BUILTIN_MACHINES["hframe-linear"]()
+    stiff = linear.replace({f"{b.name}.EA": 20.0 * b.EA for b in linear.belts})
+    name, site = label.split("@")
+    machine = stiff.with_effects(EFFECTS[name].at(site, **values))
+    step = resolved_step(machine, 0.5e-3)
+    assert step < resolved_step(stiff, 0.5e-3)
+    time_s = 1e-3 * np.arange(100)
+    volts = np.repeat(np.random.default_rng(0).uniform(-6.0, 6.0, (10, 2)), 10, axis=0)
+    exact = simulate(machine, time_s, volts, longest_step=0.05 * step).outputs
+    errors = np.abs(simulate(machine, time_s, volts, longest_step=step).outputs - exact)
+    assert (errors * [0.0194, 0.0194, 1.0, 1.0]).max() < 5e-6
+
+
 def test_the_integration_step_resolves_a_delay_that_is_no_multiple_of_it(hframe: Machine) -> None:
     delayed = hframe.with_effects(EFFECTS["input_delay"].at("motor1", d=0.43e-3))
     time_s = 1e-3 * np.arange(100)

@@ -157,13 +157,14 @@ def belt_modes(machine: Machine) -> list[float]:
 
 
 def resolved_step(machine: Machine, longest_step: float) -> float:
-    """Return an integration step, s, short enough for the fastest vibration and for delays.
+    """Return an integration step, s, short enough for the fastest vibration, dampers and delays.
 
     Steps that are too long for a stiff belt change the frequency of its vibration, and much longer ones make
-    the integrator diverge. The step is therefore at most 0.75 / the highest natural frequency (rad/s) at
-    position 0, or 0.75 / the largest eigenvalue of the linear model where a drive follows a set point. It is
+    the integrator diverge. The step is therefore at most 0.75 / the highest rate (rad/s): the highest natural
+    frequency of the belts at position 0, that of parts that effects add, with their damping
+    (`Effect.fastest`), or the largest eigenvalue of the linear model where a drive follows a set point. It is
     shorter for voltages that act with a delay: they change inside a step, whose error falls with the square
-    of its length.
+    of its length. Dampers of contacts (`Effect.damping`) need no shorter step.
 
     The step is between a hundredth of `longest_step`, s, and `longest_step`. A machine that needs shorter
     steps has a wrong mass or stiffness, and its simulation then ends with an error instead of running out of
@@ -176,13 +177,13 @@ def _resolving_step(machine: Machine, longest_step: float) -> float:
     """Return the step of `resolved_step` without its lower limit."""
     if any(effect.definition.delay is not None for effect in machine.effects):
         longest_step *= _STEP_WITH_DELAY
+    rates = [e.definition.fastest(machine, e) for e in machine.effects if e.definition.fastest]
     if machine.drive_laws:
-        fastest = float(np.abs(np.linalg.eigvals(linearize(machine).A)).max())
-        return longest_step if longest_step * fastest <= _MAX_PHASE else _MAX_PHASE / fastest
-    if not machine.belts:
-        return longest_step
-    highest = machine.highest_frequency  # called before every simulation, hence without the complex step
-    return longest_step if longest_step * highest <= _MAX_PHASE else _MAX_PHASE / highest
+        rates.append(float(np.abs(np.linalg.eigvals(linearize(machine).A)).max()))
+    else:  # called before every simulation, hence without the complex step
+        rates.append(machine.highest_frequency)
+    fastest = max(rates)
+    return longest_step if longest_step * fastest <= _MAX_PHASE else _MAX_PHASE / fastest
 
 
 def _operating_point(machine: Machine, position: ArrayLike | None) -> tuple[Equations, Array]:
