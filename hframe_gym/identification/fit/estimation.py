@@ -175,8 +175,6 @@ def fit(
         model = ResidualModel(machine, tuple(free), data, bandwidth, longest_step, difference_step=step)
         theta, cost, information = _descend(model, theta, iterations, tolerance, goal)
     machine = model.machine_at(theta)
-    if math.isfinite(cost):  # costs of trials have the influence of unknown starts linearized before the step
-        cost = prediction_cost(machine, data, bandwidth, longest_step=longest_step)
     floor = innovation_variance(machine, data, bandwidth)[0]
     return Fit(machine, model.free, theta, cost, data.count, bandwidth, information, longest_step, floor)
 
@@ -186,11 +184,16 @@ def _descend(
 ) -> tuple[Array, float, Array]:
     """Reduce the cost by Levenberg-Marquardt steps, until another one would gain less than the tolerance.
 
-    Return theta; its cost with the penalty of the prior, infinite if the machine diverges; and the Fisher
-    information without the prior at the last expansion point.
+    Trials have the integration step, and the influence of unknown starts, of the expansion point. A machine
+    that needs a shorter step may therefore seem good and diverge by itself, so that the descent ends where
+    the cost of the machine by itself is lowest: at an expansion point or after the last step.
+
+    Return theta; its cost without the penalty of the prior, infinite if the machine diverges at the start;
+    and the Fisher information without the prior at the last expansion point up to there.
     """
     free, prior = model.free, prior_precision(model.free)
     information, cost = np.zeros((len(free), len(free))), math.inf
+    least, lowest_point = math.inf, (theta, math.inf, information)
     for iteration in range(iterations):
         if not goes_on() and iteration:  # the first one tells the cost
             break
@@ -203,6 +206,8 @@ def _descend(
         # prior is scaled by chi2 instead, so that it keeps its weight relative to the data.
         precision = prior * max(1.0, equations.chi2)
         initial_cost = cost = equations.cost + float(theta @ precision @ theta)
+        if initial_cost < least:
+            least, lowest_point = initial_cost, (theta, equations.cost, information)
         hessian, gradient = information + precision, equations.gradient + precision @ theta
         scaling = np.diag(np.diag(hessian))
         steps = np.array([bounded_step(free, theta, hessian + d * scaling, gradient) for d in _DAMPINGS])
@@ -225,7 +230,13 @@ def _descend(
             theta, cost = _best_trial(trials, _costs(expansion, precision, trials), theta, cost)
         if not before - cost > tolerance * cost:
             break
-    return theta, cost, information
+    if not math.isfinite(cost):
+        return lowest_point
+    cost = prediction_cost(
+        model.machine_at(theta), model.data, model.bandwidth, longest_step=model.longest_step
+    )
+    penalty = float(theta @ prior @ theta) * max(1.0, cost / model.data.count)
+    return (theta, cost, information) if cost + penalty <= least else lowest_point
 
 
 def _next_decrease(promised: Array, found: Array) -> float:

@@ -121,6 +121,24 @@ def _counted(*arguments: Any, **options: Any) -> tuple[Fit, int]:
         return fit(*arguments, **options), len(steps)
 
 
+def test_a_fit_ends_no_worse_than_it_starts(
+    hframe: Machine, data: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The costs of trials may promise too much, because they have the integration step of another machine."""
+    run = data.with_runs([data.runs[0].name])
+    free = default_free_parameters(hframe)
+    start = fit(hframe, free, run, SEARCH_BANDWIDTH)
+
+    def misled(trials: np.ndarray, costs: np.ndarray, theta: np.ndarray, cost: float) -> Any:
+        return theta + 0.1, 0.5 * cost
+
+    monkeypatch.setattr(estimation, "_best_trial", misled)
+    for iterations in (1, 3):
+        fitted = fit(hframe, free, run, SEARCH_BANDWIDTH, theta=start.theta, iterations=iterations)
+        np.testing.assert_array_equal(fitted.theta, start.theta)
+        assert fitted.cost == pytest.approx(start.cost, rel=1e-7)
+
+
 def test_a_tight_prior_keeps_the_declared_parameters(hframe: Machine, data: Dataset) -> None:
     tight = [dataclasses.replace(f, prior=1e-9) for f in default_free_parameters(hframe)]
     fitted = fit(hframe, tight, data.with_runs([data.runs[0].name]), SEARCH_BANDWIDTH)
