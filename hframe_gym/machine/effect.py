@@ -240,8 +240,9 @@ class Effect:
             "magnets". Of effects that explain the same, those that need none are preferred. Empty if it needs
             none.
         impacts: Whether parts collide, so that small changes of a parameter change the motion irregularly.
-        fastest: Function (machine, applied effect) -> rate, rad/s, at which what the effect adds vibrates, or at
-            which its damper brakes it, whichever is higher; `dynamics.resolved_step` follows it. Default: slow.
+        fastest: Function (machine, applied effect) -> rate, rad/s, at which what the effect adds vibrates, or
+            at which its damper brakes it, whichever is higher; `dynamics.resolved_step` follows it.
+            Default: slow.
         range_ends: Names of the parameters that are the lowest and the highest measurement of a sensor, if
             the effect limits its range (`Machine.measuring_ranges`).
         starting_values: For an effect of a sensor, function (measurements of each run, shapes (m,), and their

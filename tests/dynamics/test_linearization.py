@@ -128,7 +128,7 @@ def test_the_integration_step_resolves_stiff_belts(hframe: Machine) -> None:
     ],
 )
 def test_the_integration_step_resolves_what_effects_add(label: str, values: dict[str, float]) -> None:
-    """Without it, stiff or strongly damped parts diverge; the belts are stiff, and friction is only viscous."""
+    """Without it, stiff or strongly damped parts diverge. The belts are stiff, and friction is viscous."""
     linear = BUILTIN_MACHINES["hframe-linear"]()
     stiff = linear.replace({f"{b.name}.EA": 20.0 * b.EA for b in linear.belts})
     name, site = label.split("@")
