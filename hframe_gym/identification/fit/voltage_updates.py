@@ -33,7 +33,7 @@ from ..judge.voltages import (
     voltages_change_between_rows,
 )
 from ..predict.free_parameters import FreeParameter
-from ..predict.prediction import SEARCH_BANDWIDTH, SIMULATION
+from ..predict.prediction import NARROWEST_WITH_VOLTAGE_ERRORS, SEARCH_BANDWIDTH, SIMULATION
 from ..predict.voltage_errors import expected_excess, simulation_error
 from .covariance import DELAY_STD
 from .estimation import Fit, fit, prediction_costs
@@ -395,7 +395,8 @@ def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
     """Determine whether, and how often, the voltages change from one row of a log to the next.
 
     Args:
-        fitted: Fit of a machine to the runs with held voltages.
+        fitted: Fit of a machine to the runs with held voltages. Its observer compares them, or the narrowest
+            one for interpolated voltages.
         data: The runs.
         criteria: Decision thresholds for the reduction of the error.
 
@@ -404,13 +405,13 @@ def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
         changing voltages.
     """
     data = data.with_updates(1)
-    held = continue_fit(fitted, data, SEARCH_BANDWIDTH)
+    held = continue_fit(fitted, data, max(fitted.bandwidth, NARROWEST_WITH_VOLTAGE_ERRORS))
     if not can_show_updates(data):
         return VoltageUpdates(1, held.chi2, held.chi2)
     per_row, best = _least_error(held, data, criteria)
     if per_row > 1 and _change(held, best, data.with_updates(per_row), criteria):
         per_row = count_updates(best, data.with_updates(per_row))
-        fitted = continue_fit(best, data.with_updates(per_row), SEARCH_BANDWIDTH)
+        fitted = continue_fit(best, data.with_updates(per_row), held.bandwidth)
         return VoltageUpdates(per_row, held.chi2, fitted.chi2)
     beside_delay = _changing_beside_delay(held, data, criteria)
     return beside_delay or VoltageUpdates(1, held.chi2, held.chi2)
@@ -456,10 +457,10 @@ def _change(held: Fit, changing: Fit, data: Dataset, criteria: SelectionCriteria
         data: Runs with the changing voltages, without their errors.
     """
     before, after = (
-        prediction_costs(fitted.machine, runs, SEARCH_BANDWIDTH)
+        prediction_costs(fitted.machine, runs, held.bandwidth)
         for fitted, runs in ((held, data.with_held_voltages()), (changing, data))
     )
-    excess = expected_excess(changing.machine, data, SEARCH_BANDWIDTH)
+    excess = expected_excess(changing.machine, data, held.bandwidth)
     error = dataclasses.replace(changing.error, floor=changing.floor + excess)
     evidence = UpdatesEvidence(held.error, error, float(np.mean(after < before)))
     return voltages_change_between_rows(evidence, criteria)

@@ -173,12 +173,17 @@ class EffectSearch:
             best, selected = extended
             self.reached = best, selected
             expect_tests((len(selected) + 1) * self._seconds)  # a fit with the finest step comes before
+            # A wide observer follows noise that lasts, which may leave more than held voltages do.
+            likely = fit_with_model_error(best, self.data) if noise_known else None
             # Effects beside held voltages that are not held may be false; another number of changes moves
             # them little.
             counts_again = self._counts and (noise_known or may_begin_again())
-            if counts_again and (updates := other_updates(best, self.data, criteria)):
-                raise VoltagesChangeError(best.machine, selected, updates)
-            current, selected = self._settled(best, selected)
+            counted = likely or best
+            if counts_again and (updates := other_updates(counted, self.data, criteria)):
+                raise VoltagesChangeError(counted.machine, selected, updates)
+            likely = likely or fit_with_model_error(best, self.data)
+            moved = likely.bandwidth != best.bandwidth
+            current, selected = self._settled(likely, selected, last_too=moved)
             current, self.data = with_probable_starts(current, self.data, criteria)
             note_error(current.chi2)
         for s in selected:
@@ -224,7 +229,9 @@ class EffectSearch:
                 # The last one won against all others, but held voltages are another machine than interpolated
                 # ones.
                 held_before = [*data.updates_rejected][-1:] == [1]
-                return self._settled(complete, selected, last_too=held_before)
+                likely = fit_with_model_error(complete, data)
+                moved = likely.bandwidth != complete.bandwidth
+                return self._settled(likely, selected, last_too=held_before or moved)
         return current, ()
 
     def _passes_again(self, label: str, reduced: Fit, complete: Fit) -> bool:
@@ -241,16 +248,14 @@ class EffectSearch:
             self.considered[label] = ConsideredEffect(effect, complete.machine, reduced.machine, doubt)
         return not doubt
 
-    def _settled(
-        self, best: Fit, selected: tuple[SelectedEffect, ...], *, last_too: bool = False
-    ) -> Selection:
+    def _settled(self, current: Fit, selected: tuple[SelectedEffect, ...], *, last_too: bool) -> Selection:
         """Return the machine at its most likely observer, after others took the place of effects and rivals.
 
-        The last effect has won against all others, but at another observer: a narrower one shows more of what
-        is slow.
+        Args:
+            current: Fit of the machine with all effects at this observer.
+            last_too: Whether another effect may take the place of the last one as well. It has won against
+                all others, but a narrower observer than that of its trial shows more of what is slow.
         """
-        current = fit_with_model_error(best, self.data)
-        last_too = last_too or current.bandwidth != best.bandwidth
         current, selected = self._exchange(current, selected, selected if last_too else selected[:-1])
         if judge.is_worth_comparing_rivals(current.error, self._criteria):
             likely, others = self.settle_rivals(current, selected)

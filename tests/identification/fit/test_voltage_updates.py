@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
+from scipy.signal import lfilter
 
 from hframe_gym import simulate
 from hframe_gym.data_validation.sampling import check_voltages_between_rows
@@ -16,6 +17,7 @@ from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, Fit, SelectionCriteria, default_free_parameters, fit, prepare
 from hframe_gym.identification.budget import Budget
 from hframe_gym.identification.fit.covariance import DELAY_STD
+from hframe_gym.identification.fit.model_error import continue_fit
 from hframe_gym.identification.fit.slow_logs import ExcessDelay, excess_delay
 from hframe_gym.identification.fit.voltage_updates import (
     VoltageUpdates,
@@ -125,6 +127,20 @@ def test_the_motion_shows_how_often_the_voltages_change() -> None:
     assert updates.per_row in (3, 4, 5)
     assert updates.fitted < 0.5 * updates.held
     assert "change between the rows, about" in updates.describe("voltages", 4e-3)
+
+
+@pytest.mark.parametrize(("bandwidth", "updates"), [(SEARCH_BANDWIDTH, 1), (15.0, 2), (SIMULATION, 2)])
+def test_a_narrower_observer_shows_what_lasting_noise_hides(bandwidth: float, updates: int) -> None:
+    """A wide one follows noise of 20 ms, which then leaves more than held voltages do."""
+    kept, rng, logs = np.exp(-PERIOD / 0.02), np.random.default_rng(10), []
+    for seed in range(3):
+        run = controlled(seed)
+        white = 8.0 * NOISE * np.sqrt(1.0 - kept**2) * rng.normal(size=run.outputs.shape)
+        lasting = lfilter([1.0], [1.0, -kept], white, axis=0)
+        logs.append(every(dataclasses.replace(run, outputs=run.outputs + lasting), 2))
+    data = prepare(logs, AXIS)
+    fitted = continue_fit(refitted(data), data, bandwidth)
+    assert voltage_updates(fitted, data, SelectionCriteria()).per_row == updates
 
 
 @cache
