@@ -10,7 +10,7 @@ import dataclasses
 import json
 import warnings
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -110,8 +110,9 @@ class ZipSource(ControllerSource):
                 return Sb3Model(
                     model, envs.batch.format, scenario.declared_machine, scenario.period, full_state
                 )
+        offered = [envs.single_observation_space for envs in environments]
         raise InputError(
-            f"{name}: {_difference(model.observation_space, environments[0].single_observation_space)}"
+            f"{name}: {_difference(model.observation_space, _nearest(model.observation_space, offered))}"
         )
 
     @staticmethod
@@ -229,6 +230,13 @@ def _same(space: Any, other: Any) -> bool:
     return bool(
         np.allclose(space.low, other.low, rtol=1e-5) and np.allclose(space.high, other.high, rtol=1e-5)
     )
+
+
+def _nearest(space: Any, offered: Sequence[Any]) -> Any:
+    """Return the dict among the observation spaces whose keys differ least from those of a model's."""
+    dicts = [other for other in offered if isinstance(other, spaces.Dict)]
+    keys = set(space.spaces) if isinstance(space, spaces.Dict) else set(dicts[0].spaces)
+    return min(dicts, key=lambda other: len(keys ^ set(other.spaces)))
 
 
 def _difference(space: Any, wanted: Any) -> str:

@@ -41,10 +41,8 @@ def examples(out: Annotated[Path, Option(help="Folder to create; an existing one
 @app.command("import")
 def import_logs(
     logs: Annotated[
-        Path,
-        Argument(
-            help="A log or a folder of logs: text, MATLAB, Parquet, LeRobot, WPILib, ROS, MCAP, Klipper."
-        ),
+        list[Path],
+        Argument(help="Logs or folders of logs: text, MATLAB, Parquet, LeRobot, WPILib, ROS, MCAP, Klipper."),
     ],
     out: Annotated[Path, Option(help="Folder for the recordings; existing runs are never replaced.")],
     machine: MachineOption = "hframe",

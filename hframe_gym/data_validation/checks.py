@@ -28,10 +28,12 @@ from ..recordings import (
     without_wraps,
     wraps_of,
 )
+from .current_timing import check_currents
 from .excitation import check_excitation, constant_inputs
 from .findings import Finding, Severity, channel_unit
 from .identifiability import check_parameters
 from .input_noise import check_input_noise
+from .origins import check_origins
 from .run_signs import check_signs_of_runs
 from .runs_apart import check_inputs_of_runs, check_rates, check_travel_of_runs
 from .sampling import (
@@ -44,7 +46,7 @@ from .sampling import (
     times_in_milliseconds,
 )
 from .scales import check_scales
-from .speeds import check_speeds
+from .speeds import check_computed_speeds, check_speeds
 from .starts import check_starts
 from .stuck_outputs import NOISE_SPAN, stuck_outputs
 from .wiring import check_wiring
@@ -80,6 +82,7 @@ def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[
         *wrapped,
         sampling_rate(recordings),
         *overlapping_clocks(recordings),
+        *check_origins(recordings, machine),
         *_sensor_noise(data, machine),
     ]
     for copy, reason in copied_runs(recordings).items():
@@ -185,6 +188,7 @@ def _faults_and_advice(
     moved = [recording for recording in cleaned if recording.name in moving]
     findings += check_rates(moved) + check_inputs_of_runs(data.with_runs(moving), machine)
     findings += _position_checks(moved, data, machine) + check_speeds(moved, machine)
+    findings += check_computed_speeds(moved, machine)
     if not any(finding.severity == "fault" for finding in findings):
         findings += check_starts(moved, data, machine)
     if not any(finding.severity == "fault" for finding in findings):
@@ -192,8 +196,13 @@ def _faults_and_advice(
     if any(finding.severity == "fault" for finding in findings):
         return findings  # a fit would be meaningless
     moving_data = data.with_runs(moving)
-    return findings + (
-        check_input_timing(moving_data, machine) or check_voltages_between_rows(moving_data, machine)
+    late = check_input_timing(moving_data, machine)
+    if any(finding.severity == "fault" for finding in late):
+        return findings + late  # currents belong to the voltages of their own rows then, and rightly so
+    return (
+        findings
+        + check_currents(moved, machine)
+        + (late or check_voltages_between_rows(moving_data, machine))
     )
 
 

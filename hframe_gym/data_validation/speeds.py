@@ -1,4 +1,4 @@
-"""Find speeds that contradict the sensors of positions: another unit, scale or sign, or swapped sensors."""
+"""Find speeds that contradict the sensors of positions (unit, scale, sign, swapped), or repeat them."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from scipy.integrate import cumulative_trapezoid
 
 from ..arrays import Array
 from ..machine import Machine
+from ..preparation.sensor_noise import sensor_quantum
 from ..recordings import Recording
 from .findings import Finding
 from .wiring import REMEDY, rigid_prediction
@@ -21,6 +22,10 @@ from .wiring import REMEDY, rigid_prediction
 _WINDOW = 0.1
 _MIN_WINDOWS = 20  # that a ratio needs, all runs together
 _LARGEST_RATIO = 1.5  # of speeds; a tachometer may be wrong by 20 %, and identification finds that
+# Difference between a speed and the change of a position from row to row, relative to the rounding error of
+# that change: a speed that was measured by itself differs by all of it, one that was computed from the same
+# counts by the digits of the log.
+_SAME = 0.3
 _CORRELATION = 0.9  # below it, something else than a factor is wrong, or the motion is too fast for the log
 
 
@@ -101,3 +106,48 @@ def _finding(machine: Machine, speed: int, ratio: float) -> Finding:
         f"hframe import FILE --scale {channel}={1.0 / ratio:.4g} (times its present factor)"
     )
     return Finding("fault", "", channel, message)
+
+
+def check_computed_speeds(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
+    """Report, as advice, speeds that are the change of an encoder's counts from row to row.
+
+    Such a speed says nothing that the counts do not: it is late by half a row, and its rounding error, which
+    is that of two counts, is not independent of theirs.
+    """
+    findings = []
+    for j, speed in enumerate(machine.sensors):
+        for k, position in enumerate(machine.sensors):
+            if not (speed.of_velocity and position.of_position and list(speed.row) == list(position.row)):
+                continue
+            coordinate = next(iter(speed.row))
+            ratio = speed.row[coordinate] / position.row[coordinate]
+            quantum = sensor_quantum([r.outputs[:, k] for r in recordings], position.resolution)
+            parts = [_differences(r, j, k, ratio, quantum) for r in recordings]
+            differences = np.concatenate([part for part, _ in parts])
+            rounding = np.concatenate([error for _, error in parts])
+            if len(differences) < _MIN_WINDOWS or not np.median(np.abs(differences)) < _SAME * np.median(
+                rounding
+            ):
+                continue
+            period = float(np.median(np.concatenate([np.diff(r.time_s) for r in recordings])))
+            message = (
+                f"is the change of {position.channel} from row to row, so that it tells nothing new: it is "
+                f"{500 * period:.3g} ms late and rounded twice. Leave it out: hframe import FILE --map "
+                f"{speed.channel}=none, or delete the sensor in machine.json"
+            )
+            findings.append(Finding("advice", "", speed.channel, message))
+    return findings
+
+
+def _differences(
+    recording: Recording, speed: int, position: int, ratio: float, quantum: float
+) -> tuple[Array, Array]:
+    """Return speed minus change of position, and the rounding error of this change, rad/s or m/s, (rows,).
+
+    Rows in which the position rests are left out; there are none if the position has no `quantum`, m or rad.
+    """
+    steps = np.diff(recording.time_s)
+    change = ratio * np.diff(recording.outputs[:, position]) / steps
+    differences = recording.outputs[1:, speed] - change
+    used = np.isfinite(differences) & (change != 0.0) & (quantum > 0.0)
+    return differences[used], abs(ratio) * quantum / np.sqrt(6.0) / steps[used]

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.signal import savgol_coeffs, savgol_filter
 
 from ..arrays import Array, Measurements, Quanta, Times
-from ..recordings import quantum_of
+from ..recordings import exact_quantum, quantum_of
 from ..robust_statistics import std_by_median, white_noise
 
 _CURVE_ROWS = 21  # Measurements of a curve; in slow motion, they extend over several quanta.
@@ -28,9 +28,13 @@ def sensor_quantum(channel: Sequence[Array], resolution: float) -> float:
 
     Returns:
         Median of the quanta of single runs, m or rad. A run without a recognizable quantum, such as one with
-        hardly any motion, does not count. If no run has one, the declared resolution.
+        hardly any motion, does not count. If no run has one, the declared resolution, or a coarser step of
+        which the values of all rows are multiples: in fast motion, hardly any rows that follow each other
+        differ by one step.
     """
     quanta = [quantum for quantum in map(quantum_of, channel) if quantum > 0.0]
+    if not quanta and resolution:
+        quanta = [quantum for values in channel if (quantum := exact_quantum(values)) > resolution]
     return float(np.median(quanta)) if quanta else resolution
 
 

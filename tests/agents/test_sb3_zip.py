@@ -125,6 +125,10 @@ def test_two_models_have_two_hashes_and_count_as_learned(tmp_path: Path) -> None
             "it observes preview, which the environment lacks",
         ),
         (lambda: HFrameVecEnv(2, privileged=True), "it observes privileged, which the environment lacks"),
+        (
+            lambda: HFrameVecEnv(2, privileged=True, error=True),
+            "it observes privileged, which the environment lacks",  # it has `error` on request
+        ),
         (lambda: gym.make("Pendulum-v1"), "its actions are Box"),
         (
             lambda: gym.wrappers.FrameStackObservation(gym.make("HFrameFlat-v0"), 3),

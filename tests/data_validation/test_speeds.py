@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.data_validation import check_before_fit, check_recordings
+from hframe_gym.data_validation.speeds import check_computed_speeds
 from hframe_gym.data_validation.wiring import REMEDY
 from hframe_gym.dynamics import simulate
 from hframe_gym.identification import prepare
@@ -44,6 +45,25 @@ def scaled(factors: tuple[float, float]) -> list[str]:
     return faults(
         check_before_fit([dataclasses.replace(measured, outputs=measured.outputs * factors)], motor())
     )
+
+
+@pytest.mark.parametrize("computed", [True, False])
+def test_a_speed_that_was_computed_from_the_counts_is_named(computed: bool) -> None:
+    """As a sketch logs it, in rpm with one decimal; an ideal tachometer beside the encoder is not named."""
+    step = 2.0 * np.pi / 1320
+    machine = motor().with_components(Sensor("angle_rad", {"shaft": 1.0}, resolution=step, kind="encoder"))
+    time_s = np.arange(400) * 1e-2
+    volts = np.repeat(np.random.default_rng(0).uniform(-12.0, 12.0, 20), 20)[:, None]
+    outputs = simulate(machine, time_s, volts).outputs.copy()
+    outputs[:, 0] = step * np.rint(outputs[:, 0] / step)
+    if computed:
+        rpm = np.diff(outputs[:, 0], prepend=outputs[0, 0]) / 1e-2 * 30.0 / np.pi
+        outputs[:, 1] = np.round(rpm, 1) * np.pi / 30.0
+    found = check_computed_speeds([Recording("run", time_s, volts, outputs)], machine)
+    assert [(finding.severity, finding.channel) for finding in found] == [
+        ("advice", "speed_rad_s")
+    ] * computed
+    assert all("5 ms late" in finding.message for finding in found)
 
 
 @pytest.mark.parametrize("factors", [(1.0, 1.0), (1.0, 1.2)])

@@ -47,6 +47,26 @@ def test_a_sensor_that_never_moves_has_its_declared_resolution() -> None:
     assert sensor_quantum([np.full(3000, 0.7)] * 4, 1e-3) == 1e-3
 
 
+def fast_encoder(seed: int) -> np.ndarray:
+    """A run of 400 rows in which an encoder counts tens of steps from row to row."""
+    counts = np.cumsum(np.rint(40.0 * np.sin(np.arange(400) / 37.0) + 25.0 + seed))
+    return QUANTUM * counts
+
+
+@pytest.mark.parametrize("finer", [1.0, 12.5, 45.45])
+def test_an_encoder_in_fast_motion_has_the_step_of_its_values(finer: float) -> None:
+    """No two rows that follow each other differ by one step, but values of other rows do."""
+    channel = [fast_encoder(seed) for seed in range(4)]
+    assert all(quantum_of(values) == 0.0 for values in channel)
+    assert sensor_quantum(channel, QUANTUM / finer) == pytest.approx(QUANTUM, rel=1e-6)
+
+
+def test_values_of_other_steps_than_declared_have_the_declared_resolution() -> None:
+    """Interpolated counts have no step, and a file's last digit is none of the encoder."""
+    channel = [np.round(np.convolve(fast_encoder(s), [0.3, 0.45, 0.25], "valid"), 9) for s in range(4)]
+    assert sensor_quantum(channel, QUANTUM) == QUANTUM
+
+
 def test_repeated_measurements_of_a_resting_encoder_count_as_one() -> None:
     """At rest an encoder repeats one rounding error; in slow motion, and with noise, measurements differ."""
     time_s = np.arange(300) * 1e-3

@@ -95,7 +95,7 @@ class ImportSettings:
 
 
 def import_logs(
-    logs: str | Path,
+    logs: str | Path | Sequence[str | Path],
     out: str | Path,
     machine: Machine,
     settings: ImportSettings = ImportSettings(),
@@ -108,7 +108,7 @@ def import_logs(
     the folder unchanged.
 
     Args:
-        logs: A log, or a folder of logs.
+        logs: A log, a folder of logs, or several of both.
         out: Folder for the recordings; created if it does not exist. Existing runs are never replaced.
         machine: Machine that was logged; the names of its input and output channels are the columns of the
             recordings.
@@ -129,7 +129,10 @@ def import_logs(
         raise InputError("--split-at-rests and --split-every exclude each other: choose one")
     if settings.intervals and (settings.split or settings.every is not None):
         raise InputError("--cut and --split-at-rests or --split-every exclude each other: choose one")
-    paths, other_files = find_logs(logs)
+    sources = [logs] if isinstance(logs, str | Path) else list(logs)
+    found = [find_logs(source) for source in sources]
+    paths = list(dict.fromkeys(path for logs_of_source, _ in found for path in logs_of_source))
+    other_files = [path for _, others in found for path in others]
     joined = {path.resolve() for path in settings.join}
     paths = [path for path in paths if path.resolve() not in joined]
     folder = output_folder(out)
@@ -150,10 +153,16 @@ def import_logs(
                         f"{folder}: the run {run.name!r} exists; choose another --out or delete it"
                     )
                 file = folder / f"{run.name}.{settings.run_format}"
+                if file in written:
+                    raise InputError(
+                        f"{path}: another log has given the run {run.name!r}; choose another --out for it"
+                    )
                 write_recording(file, run, machine, importer.count_rows)
                 written.append(file)
         if not written:
-            raise InputError(f"{logs}: none of its {len(paths)} logs has rows below the header")
+            raise InputError(
+                f"{', '.join(map(str, sources))}: none of its {len(paths)} logs has rows below the header"
+            )
         importer.refuse_unused_intervals()
     if others := importer.of_these_logs(existing):
         before = f"{folder} has runs of these logs from before ({name_runs(others)})"

@@ -31,6 +31,7 @@ from .possible_maps import obstacle
 
 NOT_MEASURED = "none"  # given instead of a column: the output was not measured
 _EXAMPLE_RATE = "200Hz"  # in messages
+_LENGTHS = {"mm": 1e-3, "m": 1.0}  # m, units of set points of a tool
 # A reference to columns to which a number is added, such as "pwm - 127.5".
 _NUMBER_ADDED = re.compile(r"(.*\S)\s*([+-])\s*(\d+\.?\d*)\s*")
 # Names of a column of sample times, in lower case, without blanks and punctuation; "xvalue" is that of
@@ -469,7 +470,9 @@ class _LogMapping:
         )
         if has_no_time and proposals[TIME] == NO_PROPOSAL:
             proposals[TIME] = _EXAMPLE_RATE
-        advice = f"Check and add: {' '.join(_map_option(channel, proposals[channel]) for channel in missing)}"
+        sums = self._sums_of_set_points(missing, unused)
+        options = (sums.get(channel) or _map_option(channel, proposals[channel]) for channel in missing)
+        advice = f"Check and add: {' '.join(options)}"
         outputs = [channel for channel in missing if channel in self.machine.output_channels]
         if outputs:
             advice += f" (or {outputs[0]}={NOT_MEASURED}, if it was not measured)"
@@ -483,29 +486,60 @@ class _LogMapping:
                 )
         elif TIME in missing:
             advice += f"; if the log has no time column, state the rate, e.g. {TIME}={_EXAMPLE_RATE}"
-        without = [channel for channel in missing if channel != TIME and proposals[channel] == NO_PROPOSAL]
+        without = [
+            channel
+            for channel in missing
+            if channel != TIME and proposals[channel] == NO_PROPOSAL and channel not in sums
+        ]
         if without:
             advice += "; --join FILE adds the columns of another file with the same motion"
-        return advice + self._explained_obstacle(without, unused) + self._advice_about_tool(missing)
+        of_tool = "" if sums else self._advice_about_tool(missing)
+        return advice + self._explained_obstacle(without, unused) + of_tool
 
-    def _advice_about_tool(self, channels: Sequence[str]) -> str:
-        """Say how the first motor's command follows from set points of a tool that motors move together."""
+    def _rates_of_tool(self, channels: Sequence[str]) -> dict[str, tuple[float, float]]:
+        """Return the commands per m along x and y, by channel, of motors that move a tool together."""
         machine = self.machine
         of_coordinate = {machine.input_channels[k]: c for c, k in machine.position_commands.items()}
+        found = {}
         for channel in (channel for channel in channels if channel in of_coordinate):
             rates = rest_positions_per_axis(machine)[
                 machine.coordinate_names.index(of_coordinate[channel])
             ].tolist()
-            factor = rates[0]
-            if len(rates) != 2 or factor == 0.0 or not math.isclose(abs(rates[1]), abs(factor)):
-                continue
-            sign = "+" if rates[1] * factor > 0.0 else "-"
-            return (
-                ". If the log has set points of the tool, in m, they are added: "
-                f"{_map_option(channel, f'X {sign} Y')} --scale {channel}={factor:.6g} "
-                f"(with the names of their columns; {factor / 1e3:.6g} for mm)"
-            )
-        return ""
+            if len(rates) == 2 and rates[0] != 0.0 and math.isclose(abs(rates[1]), abs(rates[0])):
+                found[channel] = (rates[0], rates[1])
+        return found
+
+    def _sums_of_set_points(self, channels: Sequence[str], unused: Sequence[LogColumn]) -> dict[str, str]:
+        """Return the options that give motors their commands from columns with set points of the tool.
+
+        Empty unless exactly one column in mm, or in m, has the name of each axis as a word of its name.
+        """
+        lengths = [c for c in unused if c.unit in _LENGTHS and c.meaning.family == "position"]
+        along = [
+            [c for c in lengths if axis.lower() in re.split(r"[^a-z0-9]+", c.name.lower())]
+            for axis in self.machine.tool_axes
+        ]
+        if len(along) != 2 or any(len(columns) != 1 for columns in along):
+            return {}
+        if along[0][0].unit != along[1][0].unit:
+            return {}
+        x, y = along[0][0].header, along[1][0].header
+        meters = _LENGTHS[along[0][0].unit]
+        rates = self._rates_of_tool(channels)
+        return {channel: _option_of_sum(channel, x, y, *rates[channel], meters) for channel in rates}
+
+    def _advice_about_tool(self, channels: Sequence[str]) -> str:
+        """Say how the motors' commands follow from set points of a tool that motors move together."""
+        rates = self._rates_of_tool(channels)
+        if not rates:
+            return ""
+        options = [
+            _option_of_sum(channel, "X", "Y", rate, other, 1e-3) for channel, (rate, other) in rates.items()
+        ]
+        return (
+            ". If the log has set points of the tool, X and Y in mm, the motors follow sum and difference: "
+            f"{' '.join(options)} (with the names of the columns; for m 1000 times the factors)"
+        )
 
     def _explained_obstacle(self, channels: Sequence[str], unused: Sequence[LogColumn]) -> str:
         """Say for the first channel without a proposal why the first column of a known quantity is not it.
@@ -545,3 +579,15 @@ def _structure(column: LogColumn) -> str:
 def _map_option(channel: str, reference: str) -> str:
     """Return the option that assigns a column to a channel, quoted for a shell."""
     return f"--map {quoted(f'{channel}={reference}')}"
+
+
+def _option_of_sum(channel: str, x: str, y: str, rate: float, other: float, meters: float) -> str:
+    """Return the options that give a motor the sum or difference of the columns of a tool's set points.
+
+    Args:
+        x: Column of the set point along the first axis; `y` is that along the second.
+        rate: Command per m along the first axis, rad/m or m/m; `other` is that along the second.
+        meters: Unit of the columns, m.
+    """
+    total = f"{x} {'+' if other * rate > 0.0 else '-'} {y}"
+    return f"{_map_option(channel, total)} --scale {channel}={rate * meters:.6g}"

@@ -60,10 +60,17 @@ def test_what_cannot_be_added_is_refused(reference: str, problem: str, tmp_path:
 
 
 def test_a_printer_without_angles_is_told_how_the_tool_commands_them(tmp_path: Path) -> None:
+    """By its columns if they say so, else in general."""
     path = write_log(tmp_path / "log.csv")
     with pytest.raises(InputError) as refused:
         import_logs(path, tmp_path / "runs", PRINTER, ImportSettings(MappingOptions()), lambda line: None)
-    assert "--map 'command1_rad=X + Y' --scale command1_rad=157.08 (" in str(refused.value)
+    assert "--map 'command1_rad=x-ref [mm] + y-ref [mm]' --scale command1_rad=0.15708 " in str(refused.value)
+    assert "--map 'command2_rad=x-ref [mm] - y-ref [mm]' --scale command2_rad=0.15708" in str(refused.value)
+    path.write_text(path.read_text().replace("x-ref", "first").replace("y-ref", "second"))
+    with pytest.raises(InputError) as refused:
+        import_logs(path, tmp_path / "runs", PRINTER, ImportSettings(MappingOptions()), lambda line: None)
+    assert "--map 'command1_rad=X + Y' --scale command1_rad=0.15708 " in str(refused.value)
+    assert "--map 'command2_rad=X - Y' --scale command2_rad=0.15708 " in str(refused.value)
 
 
 def test_the_longest_name_of_a_column_counts(tmp_path: Path) -> None:

@@ -1160,6 +1160,20 @@ def test_a_log_without_rows_is_left_out_of_a_folder(table: Table, hframe: Machin
         import_logs(folder, tmp_path / "other", hframe, log=lines.append)
 
 
+def test_several_logs_are_imported_together(table: Table, hframe: Machine, tmp_path: Path) -> None:
+    """As a shell writes them for *.csv; two that would give one run are refused, and nothing is written."""
+    logs = [tmp_path / "a.csv", tmp_path / "more" / "b.csv"]
+    for log in logs:
+        log.parent.mkdir(exist_ok=True)
+        log.write_text(text_of(table))
+    files = import_logs([logs[0], tmp_path / "more"], tmp_path / "runs", hframe, log=lambda line: None)
+    assert [file.name for file in files] == ["a.csv.gz", "b.csv.gz"]
+    (tmp_path / "more" / "a.csv").write_text(text_of(table))
+    with pytest.raises(InputError, match=r"another log has given the run 'a'"):
+        import_logs([logs[0], tmp_path / "more"], tmp_path / "other", hframe, log=lambda line: None)
+    assert not (tmp_path / "other").exists() or not list((tmp_path / "other").iterdir())
+
+
 @pytest.mark.parametrize("option", ["units", "scales"])
 def test_current_may_also_mean_the_present_value(option: str, tmp_path: Path) -> None:
     speed = Sensor("shaft_rad_s", {"shaft": 1.0}, kind="speed")
