@@ -30,19 +30,33 @@ def tone_of_remainder(report: Report) -> Literal["good", "neutral", "warning"]:
     Returns:
         "good" if the error is at most `max_noise_ratio_explained` times the noise, and beyond it at most
         `max_motion_error` of the motion of every channel, and the verdict is not "unexplained"; otherwise
-        "neutral" if it is at most 1 % of the motion of every channel; "warning" if it is larger, or the
-        simulation diverges.
+        "neutral" if it is at most 1 % of the motion of every channel that has more error than noise;
+        "warning" if it is larger, or the simulation diverges.
     """
     criteria, left = SelectionCriteria(), report.left
-    percents = report.after.percents_of_motion
+    percents = percents_of_motion(report.after)
     largest = max(percents, default=0.0)
     if left is None:
         return "warning"
-    beyond = error_beyond_noise(largest / 100.0, left)
+    beyond = error_beyond_noise(max(report.after.percents_of_motion, default=0.0) / 100.0, left)
     at_noise = left <= criteria.max_noise_ratio_explained and beyond <= criteria.max_motion_error
     if at_noise and report.verdict != "unexplained":
         return "good"
     return "neutral" if percents and largest <= _SMALL_PERCENT_OF_MOTION else "warning"
+
+
+def percents_of_motion(evaluation: Evaluation) -> list[float]:
+    """Return errors in percent of the motion: of the channels that noise does not explain, else of all.
+
+    The noise of a coarse sensor, such as that of a current, may be a larger part of its motion than what is
+    left at the positions, and says nothing of the model.
+    """
+    above = [
+        error.percent_of_motion
+        for error in evaluation.channels.values()
+        if error.percent_of_motion is not None and (error.noise_ratio or 0.0) >= NOTICEABLE_ERROR
+    ]
+    return above or evaluation.percents_of_motion
 
 
 def drifts(report: Report) -> bool:
@@ -165,7 +179,7 @@ def parts_of_remainder(report: Report, *, error: bool = True) -> list[str]:
     """
     if report.left is None:
         return []
-    motions, (force,) = report.after.percents_of_motion, missing_forces([report.after])
+    motions, (force,) = percents_of_motion(report.after), missing_forces([report.after])
     several = len(report.after.channels) > 1
     parts = []
     if error:
@@ -173,7 +187,8 @@ def parts_of_remainder(report: Report, *, error: bool = True) -> list[str]:
         left = f"{number(report.left)} times the sensors' noise"
         parts.append(f"{largest_position_error(report.after)}{over_all} {left}")
     if motions:
-        of_channel = " of the channel where that is most" if several else ""
+        some = max(motions) < max(report.after.percents_of_motion)
+        of_channel = f" of the channel{' above its noise' * some} where that is most" if several else ""
         parts.append(f"{number(max(motions))} % of the motion{of_channel}")
     if force and not force.startswith("0 "):
         parts.append(f"a missing force of {force}{' of that of the drives' * force.endswith('%')}")

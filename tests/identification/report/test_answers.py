@@ -40,6 +40,20 @@ def test_a_multiple_of_the_noise_over_all_channels_is_not_stated_as_that_of_one(
     assert one.endswith("Left on the held-out runs: 0.5 % of the motion.")
 
 
+def test_a_channel_at_its_noise_does_not_stand_for_what_is_left() -> None:
+    """The noise of a current is 1.02 % of its motion; at the position, 0.09 % of the motion are left."""
+    errors = {
+        "x_m": {"rmse": 7e-5, "noise_ratio": 19.5, "percent_of_motion": 0.09},
+        "i_A": {"rmse": 0.08, "noise_ratio": 0.98, "percent_of_motion": 1.02},
+    }
+    report = report_with(errors, verdict="effect_found", left=11.4)
+    assert tone_of_remainder(report) == "neutral"
+    expected = (
+        "Left on the held-out runs: 0.09 % of the motion of the channel above its noise where that is most."
+    )
+    assert verdict_sentence(report).endswith(expected)
+
+
 def test_the_error_of_the_sentence_is_the_root_mean_square_over_the_channels() -> None:
     errors = {
         c: {"rmse": 1e-3, "noise_ratio": ratio} for c, ratio in (("x_m", 7.0), ("y_m", 1.0), ("z_m", None))
