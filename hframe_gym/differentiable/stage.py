@@ -13,7 +13,7 @@ from ..arrays import Array
 from ..dynamics import DifferentiableMotion, Friction, Motions, NotFiniteError, instances_with_state
 from ..dynamics.simulation import DIVERGED
 from ..envs.workspace import EndStops, tool_terms
-from ..errors import InputError
+from ..errors import InputError, example_names
 from ..machine import Machine, require_machine, rest_state
 
 Tensor = TypeVar("Tensor")  # array of the library that differentiates
@@ -125,9 +125,9 @@ class Stage(ABC, Generic[Tensor]):
         """
         if name not in self.parameter_names:
             tied = self.machine.ties.get(name)
-            reason = (
-                f"is {tied[1]:g} times {tied[0]}; change that one" if tied else "is none of its parameters"
-            )
+            reason = f"is none of its parameters; {example_names(name, self.parameter_names)}"
+            if tied:
+                reason = f"is {tied[1]:g} times {tied[0]}; change that one"
             raise InputError(f"machine {self.machine.name!r}: {name!r} {reason}")
         return self.parameter_names.index(name)
 
