@@ -29,10 +29,12 @@ class EncoderZeros(NamedTuple):
         spread: Standard deviation of the measured zero from run to run, in the sensors' units,
             shape (sensors,). Its cause is the stretch of the belts at rest, which differs from run to run; 0
             where the encoder does not resolve this stretch.
+        by_motion: Whether the motion of the runs corrected the values (`with_zeros_of_motion`).
     """
 
     values: Array
     spread: Array
+    by_motion: bool = False
 
     @property
     def known(self) -> NDArray[np.bool_]:
@@ -81,7 +83,9 @@ class EncoderZeros(NamedTuple):
         Args:
             sensors: True for the sensors whose zeros become unknown, shape (sensors,).
         """
-        return EncoderZeros(np.where(sensors, np.nan, self.values), np.where(sensors, 0.0, self.spread))
+        return self._replace(
+            values=np.where(sensors, np.nan, self.values), spread=np.where(sensors, 0.0, self.spread)
+        )
 
 
 def zero_tolerance(machine: Machine, zeros: EncoderZeros, quanta: Quanta) -> Array:

@@ -83,23 +83,46 @@ def refine_encoder_zeros(data: Dataset, machine: Machine, reference: Dataset | N
         Copy with corrected initial states and measurements. `data` itself if the machine has no effects that
         change anything at rest, or if no encoder with a known zero resolves the stretch of the belts.
     """
-    runs = (data if reference is None else reference).runs
+    source = data if reference is None else reference
+    if source.zeros is not None and source.zeros.by_motion:
+        return with_zeros(data, machine, source.zeros)
     if not may_correct_zeros(data, machine):
         return data
-    states = [run.initial for run in runs]
+    states = [run.initial for run in source.runs]
     errors = encoder_zero_errors(machine, states)
     bare = dataclasses.replace(machine, effects=())
     # Effects that change nothing at rest, such as those of friction, give no reason to correct zeros of all
     # runs by the median of some (chi-squared 1.64 instead of 1.07 in a log with interpolated voltages).
     if np.allclose(errors, encoder_zero_errors(bare, states), rtol=0.0, atol=1e-9):
         return data
-    initial = [_with_corrected_zeros(run.initial, machine, errors) for run in data.runs]
-    corrected = (
-        dataclasses.replace(run, initial=state, outputs=run.outputs - errors)
-        for run, state in zip(data.runs, initial, strict=True)
-    )
+    return _corrected(data, machine, errors)
+
+
+def with_zeros(data: Dataset, machine: Machine, zeros: EncoderZeros) -> Dataset:
+    """Copy a data set whose encoders count from the given zeros; `data` itself if they do already.
+
+    Args:
+        data: Runs of the same session.
+        machine: Machine of these runs.
+        zeros: Zeros of the encoders.
+    """
+    if data.zeros is None:
+        return data
+    errors = np.nan_to_num(zeros.values - data.zeros.values)
+    if not errors.any():
+        return data
+    return dataclasses.replace(_corrected(data, machine, errors), zeros=zeros)
+
+
+def _corrected(data: Dataset, machine: Machine, errors: Array) -> Dataset:
+    """Return a copy with errors (sensors,) added to the zeros of the session, where runs count from them."""
+    runs = []
+    for run in data.runs:
+        here = np.where(run.initial.resolves_stretch, errors, 0.0)  # 0 for an encoder switched on anew
+        initial = _with_corrected_zeros(run.initial, machine, here)
+        runs.append(dataclasses.replace(run, initial=initial, outputs=run.outputs - here))
     zeros = data.zeros and data.zeros._replace(values=data.zeros.values + errors)
-    return dataclasses.replace(data, runs=tuple(corrected), zeros=zeros)
+    return dataclasses.replace(data, runs=tuple(runs), zeros=zeros)
 
 
 def may_correct_zeros(data: Dataset, machine: Machine) -> bool:

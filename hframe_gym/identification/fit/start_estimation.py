@@ -18,10 +18,18 @@ from ...arrays import Array
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording
 from ...preparation.rest_measurement import InitialState
-from ...preparation.session_zeros import refine_encoder_zeros
+from ...preparation.session_zeros import may_correct_zeros, refine_encoder_zeros, with_zeros
 from ..judge.criteria import SelectionCriteria
 from ..judge.error import FitError, is_enough, only_noise_is_left, required_gain
-from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION, map_runs, predict, residuals
+from ..predict.prediction import (
+    POLISH_STEP,
+    SEARCH_BANDWIDTH,
+    SIMULATION,
+    map_runs,
+    predict,
+    residuals,
+    whitened,
+)
 from ..predict.start_uncertainty import (
     effect_state_spreads,
     predict_with_displaced_starts,
@@ -172,6 +180,73 @@ def refine_starts(data: Dataset, machine: Machine) -> Dataset:
     return dataclasses.replace(data, runs=tuple(map_runs(refined, data)))
 
 
+def with_zeros_of_motion(fitted: Fit, data: Dataset) -> Dataset:
+    """Copy a data set, with the zeros of a session's encoders that the motion shows.
+
+    Zeros that follow from the rows at rest assume that the belts are unstretched on average over the runs. A
+    torque on a motor that always acts in the same direction, as that of an amplifier's offset, stretches them
+    at the start of each run, by an amount that friction and damping determine. The zero is then wrong by this
+    stretch, an observer corrects the motor by this error in every row, and forces that do not exist explain
+    these corrections. A simulation needs no zero, and shows none.
+
+    Args:
+        fitted: Fit of a machine with effects, by predictions with an observer.
+        data: Runs that were fitted.
+
+    Returns:
+        Copy in which the zero of each encoder that resolves the stretch of the belts is corrected by the
+        median over the runs of its most probable error, to first order; `data` itself if there is no such
+        encoder, or the fit is a simulation.
+    """
+    zeros, machine = data.zeros, fitted.machine
+    if zeros is None or not fitted.bandwidth or not may_correct_zeros(data, machine):
+        return data
+    resolved = np.flatnonzero(np.any([run.initial.resolves_stretch for run in data.runs], axis=0))
+    errors = np.diag(zeros.spread)[resolved]  # each of the size of one standard deviation
+    # Measured at rest: a larger zero is a smaller angle of the pulley.
+    turned = np.zeros((len(resolved), len(machine.coordinates)))
+    for k, j in enumerate(resolved):
+        name = machine.sensors[j].coordinate
+        turned[k, machine.coordinate_names.index(name)] = -zeros.spread[j] / machine.sensors[j].row[name]
+    starts = uncertain_starts(machine, data.runs)
+
+    def amounts(run: PreparedRecording) -> Array:
+        start = starts[run.name]
+        wrong = np.pad(turned, ((0, 0), (0, len(start.state) - turned.shape[1])))
+        states = np.vstack([start.state, start.displaced_states, start.state + wrong])
+        motion = predict(
+            machine,
+            run,
+            fitted.bandwidth,
+            period=data.period,
+            initial_state=states,
+            extra_measurement=np.pad(errors, ((len(states) - len(errors), 0), (0, 0))),
+            longest_step=fitted.longest_step,
+        )
+        error = whitened(residuals(run, data, motion.readings), run, fitted.bandwidth)
+        # A model error reduces the weight of the data.
+        error /= max(1.0, float(np.sqrt(np.mean(error[0] ** 2))))
+        differences = np.concatenate([start.differences, np.ones(len(resolved))])
+        found = probable_amounts(error[0], error[1:], differences)[len(start.displacements) :]
+        return np.where(run.initial.resolves_stretch[resolved], found, np.nan)  # or it was switched on anew
+
+    values = zeros.values.copy()
+    values[resolved] += np.nanmedian(list(map_runs(amounts, data)), axis=0) * zeros.spread[resolved]
+    return with_zeros(data, machine, zeros._replace(values=values, by_motion=True))
+
+
+def _with_likelier_zeros(current: Fit, data: Dataset, criteria: SelectionCriteria) -> tuple[Fit, Dataset]:
+    """Return a fit to runs with the zeros that the motion shows, if these reduce the error clearly."""
+    while (corrected := with_zeros_of_motion(current, data)) is not data:
+        enough = required_gain(current.error, criteria)
+        goal = current.cost - enough * data.count
+        fitted = continue_fit(current, corrected, current.bandwidth, goal=goal)
+        if not is_enough(current.error, fitted.error, enough):
+            break
+        current, data = fit_with_model_error(fitted, corrected), corrected
+    return current, data
+
+
 def with_probable_starts(current: Fit, data: Dataset, criteria: SelectionCriteria) -> tuple[Fit, Dataset]:
     """Replace the assumed starts of the runs by the most probable ones, if that reduces the error clearly.
 
@@ -188,6 +263,7 @@ def with_probable_starts(current: Fit, data: Dataset, criteria: SelectionCriteri
     """
     if only_noise_is_left(current.error, criteria) or not math.isfinite(current.cost):
         return current, data
+    current, data = _with_likelier_zeros(current, data, criteria)
     if not any(map(len, start_displacements(current.machine, [run.initial for run in data.runs]))):
         return current, data  # nothing is uncertain
     refined = refine_starts(data, current.machine)

@@ -15,9 +15,10 @@ from hframe_gym.identification.fit.start_estimation import (
     most_probable_start,
     refine_dataset,
     with_probable_starts,
+    with_zeros_of_motion,
 )
 from hframe_gym.identification.predict.free_parameters import default_free_parameters
-from hframe_gym.identification.predict.prediction import SIMULATION, predict, residuals
+from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH, SIMULATION, predict, residuals
 from hframe_gym.identification.predict.start_uncertainty import (
     InitialStateProjection,
     predict_with_displaced_starts,
@@ -215,3 +216,41 @@ def test_a_contact_aged_before_the_recording(axis: Machine) -> None:
 def test_nothing_to_refine_without_hysteresis(axis: Machine) -> None:
     data = prepare([moving_run(axis, rest_state(axis))], axis)
     assert refine_dataset(data, axis) is data
+
+
+def test_the_motion_shows_the_zeros_that_a_torque_at_rest_falsifies(hframe: Machine) -> None:
+    """An amplifier's offset stretches the belts before each run; the rows at rest take this for the zeros."""
+    machine = hframe.with_effects(EFFECTS["voltage_offset"].at("motor1", V0=0.27))
+    rng, time_s = np.random.default_rng(1), np.arange(1500) * 1e-3
+    inputs = np.zeros((1500, 2))
+    inputs[100:700], inputs[700:1300] = (3.0, -2.0), (-2.0, 3.0)
+    runs = []
+    for k in range(4):
+        settled = rest_state(machine, rng.uniform(-0.05, 0.05, 2))
+        settled[2:4] += rng.normal(0.0, 1e-3, 2)
+        before = simulate(machine, time_s, np.zeros((1500, 2)), settled, longest_step=0.125e-3)
+        settled[:4] = before.positions[-1]
+        ideal = simulate(machine, time_s, inputs, settled, longest_step=0.125e-3).outputs
+        encoders = np.round(ideal[:, :2] / 0.1e-3) * 0.1e-3
+        lasers = ideal[:, 2:] + rng.normal(0.0, 20e-6, (1500, 2))
+        runs.append(Recording(f"run_{k}", time_s, inputs, np.hstack([encoders, lasers])))
+    data = prepare(runs, hframe)
+    assert np.all(np.abs(data.zeros.values[:2]) > 0.4e-3)  # rad; they are 0
+    fitted = fit(machine, default_free_parameters(machine, effects=False)[:1], data, SEARCH_BANDWIDTH)
+    found = with_zeros_of_motion(fitted, data)
+    assert np.all(np.abs(found.zeros.values[:2]) < 0.2e-3)
+    assert prediction_cost(machine, found, SEARCH_BANDWIDTH) < prediction_cost(
+        machine, data, SEARCH_BANDWIDTH
+    )
+    for run, before in zip(found.runs, data.runs, strict=True):
+        moved = found.zeros.values[:2] - data.zeros.values[:2]
+        np.testing.assert_allclose(
+            before.outputs[:, :2] - run.outputs[:, :2], moved[None] + np.zeros((1500, 1))
+        )
+    # The same zeros hold in other runs of the session, whatever the machine predicts at rest.
+    others = refine_dataset(data.with_runs(["run_0"]), machine, found)
+    np.testing.assert_array_equal(others.zeros.values, found.zeros.values)
+    assert refine_dataset(found, machine) is found
+    # Without effects, or in a simulation, there is no reason to doubt the zeros.
+    assert with_zeros_of_motion(dataclasses.replace(fitted, machine=hframe), data) is data
+    assert with_zeros_of_motion(dataclasses.replace(fitted, bandwidth=SIMULATION), data) is data
