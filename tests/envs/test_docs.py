@@ -17,7 +17,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "environment.md"
 def test_examples_run():
     namespace = {}
     examples = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
-    assert len(examples) == 13
+    assert len(examples) == 14
     for example in examples:
         exec(example.replace("4096", "4"), namespace)
     assert namespace["critic_input"].shape == (len(namespace["env"].unwrapped.privileged_entries),)
