@@ -594,6 +594,8 @@ def _or_known(
 ) -> Selection:
     """Return the first effect of a description, or a known effect if that leaves less or alone is confirmed.
 
+    The same effect with other values must leave less: a worse fit of it is no other description.
+
     Args:
         found: Fit with the first effect; `start` without one.
         start: Fit in simulation, without the effect.
@@ -606,7 +608,8 @@ def _or_known(
     log(f"  {effect.label} of the search {describe_gain(start, trial)}")
     best, selected = found
     leaves_less = AS_GOOD * trial.cost < best.cost
-    alone = trial.cost < start.cost and not (selected and helps(best.machine))
+    is_another = effect.label not in (s.effect.label for s in selected)
+    alone = is_another and trial.cost < start.cost and not (selected and helps(best.machine))
     if not ((leaves_less or alone) and helps(trial.machine)):
         return found
     gain = (start.cost - trial.cost) / data.count

@@ -447,6 +447,35 @@ def test_an_effect_of_the_search_describes_where_no_other_one_is_confirmed(
     assert any(line.startswith("  drag_of_the_search@x of the search reduces") for line in lines)
 
 
+def test_a_worse_fit_of_an_effect_does_not_replace_it_where_only_the_worse_one_is_confirmed() -> None:
+    """With the limit on its coefficient, the same effect describes less of the fitted runs."""
+    true = axis(TRUE).with_effects(EFFECTS["quadratic_drag"].at("x", c=40.0))
+    data = prepare(measure(true)[:2], axis(TRUE))
+    plain = plain_fit(axis(TRUE), data)
+    assert plain is not None
+    [coefficient] = EFFECTS["quadratic_drag"].parameters
+    limited = dataclasses.replace(
+        EFFECTS["quadratic_drag"], parameters=(dataclasses.replace(coefficient, upper=20.0),)
+    )
+
+    def only_the_worse_one(machine: Machine) -> bool:
+        return machine.effects[-1].definition.parameters[0].upper == 20.0
+
+    fitted, labels = next(
+        descriptions(
+            plain.simulated,
+            data,
+            SelectionCriteria(),
+            print,
+            Budget(),
+            only_the_worse_one,
+            (limited.at("x", c=10.0),),
+        )
+    )
+    assert labels == ("quadratic_drag@x",)
+    assert fitted.machine.effects[-1].parameters["c"] == pytest.approx(40.0, rel=0.05)
+
+
 def test_a_description_may_correct_the_form_of_its_first_effect() -> None:
     """A spring, and friction with a tenth of its force over position: both true, a third is missing."""
     true = axis(TRUE).with_effects(
