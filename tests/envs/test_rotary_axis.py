@@ -11,7 +11,16 @@ from gymnasium.utils import env_checker
 
 import hframe_gym  # noqa: F401  (registers the environments)
 from hframe_gym.controllers import CONTROLLERS, suited_controllers
-from hframe_gym.envs import HFrameEnv, HFrameVectorEnv, Reach, Track, as_task
+from hframe_gym.envs import (
+    DisturbanceWrapper,
+    HFrameEnv,
+    HFrameVectorEnv,
+    Reach,
+    Track,
+    VectorDisturbanceWrapper,
+    as_task,
+    machine_for_disturbances,
+)
 from hframe_gym.errors import InputError
 from hframe_gym.evaluation import Scenario, evaluate, rollout
 from hframe_gym.machine import (
@@ -200,3 +209,18 @@ def test_the_observed_error_has_the_scale_of_an_angle():
     observation, _ = env.reset(seed=0, options={"start": [0.0], "target": [1e-3]})
     span = env.observation_space["desired_goal"].high - env.observation_space["desired_goal"].low
     np.testing.assert_allclose(observation["error"], np.log(2.0) / np.log1p(span / 1e-3), rtol=1e-3)
+
+
+@pytest.mark.parametrize("count", [None, 3])
+def test_a_disturbance_of_a_rotary_axis_is_a_torque_in_nm(count):
+    machine = machine_for_disturbances(MOTOR)
+    if count is None:
+        env = DisturbanceWrapper(HFrameEnv(machine=machine), "white", std=0.01)
+    else:
+        env = VectorDisturbanceWrapper(HFrameVectorEnv(count, machine=machine), "white", std=0.01)
+    env.reset(seed=1)
+    applied = env._forces.forces.copy()
+    info = env.step(np.zeros(env.action_space.shape, np.float32))[-1]
+    assert "disturbance_N" not in info
+    np.testing.assert_array_equal(np.reshape(info["disturbance_Nm"], (-1, 1)), applied)
+    assert machine.unit("constant_force@shaft.size") == "Nm"

@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 
 from ...effects import EFFECTS
 from ...errors import InputError
-from ...machine import Machine
+from ...machine import RADIANS, Machine
 from ..environment_batch import batch_of
 from .disturbances import DISTURBANCES
 
@@ -34,7 +34,11 @@ def machine_for_disturbances(machine: Machine) -> Machine:
 
 
 class _Forces:
-    """Random forces on the tool of a batch."""
+    """Random forces on the tool of a batch.
+
+    Attributes:
+        key: Key of an info with the forces; it ends in their unit.
+    """
 
     def __init__(self, env: Any, name: str, options: Mapping[str, Any]) -> None:
         self.batch = batch_of(env)
@@ -45,6 +49,7 @@ class _Forces:
                 f"the machine has no parameter {missing[0]}, through which a disturbance acts; "
                 "make the environment with machine=machine_for_disturbances(machine)"
             )
+        self.key = "disturbance_Nm" if self.batch.machine.axis_unit is RADIANS else "disturbance_N"
         self._rows = [names.index(name) for name in wanted]
         self._process = DISTURBANCES.get(name)(**options)
         self._generator = np.random.default_rng()
@@ -79,8 +84,9 @@ class _Forces:
 class DisturbanceWrapper(gym.Wrapper):
     """Let a random force act on the tool, constant in each control period.
 
-    `info["disturbance_N"]` has the force of the step along each axis, N (Nm if rotary), shape (axes,). A seed
-    at `reset` also determines the forces. The state of `get_state` does not contain them.
+    `info["disturbance_N"]` has the force of the step along each axis, N, shape (axes,); with rotary axes,
+    `info["disturbance_Nm"]` has the torque about each. A seed at `reset` also determines the forces. The
+    state of `get_state` does not contain them.
 
     Args:
         process: Name in `DISTURBANCES`.
@@ -108,7 +114,7 @@ class DisturbanceWrapper(gym.Wrapper):
         applied = self._forces.forces[0].copy()
         observation, reward, terminated, truncated, info = self.env.step(action)
         self._forces.follow()
-        info["disturbance_N"] = applied
+        info[self._forces.key] = applied
         return observation, reward, terminated, truncated, info
 
 
@@ -149,5 +155,5 @@ class VectorDisturbanceWrapper(VectorWrapper):
         fresh = self._over if self._same_step else began
         if fresh.any():
             self._forces.begin(fresh)
-        info["disturbance_N"] = applied
+        info[self._forces.key] = applied
         return observation, reward, terminated, truncated, info
