@@ -8,7 +8,8 @@ from itertools import combinations
 
 import numpy as np
 
-from ...machine import Belt, Machine
+from ...dynamics import stiffness_matrix
+from ...machine import Belt, Machine, motion_limits
 from ..predict.free_parameters import FreeParameter, coupled_coordinates, default_free_parameters
 from .parameter_diagnostics import PRIOR_DOMINATES, is_limited, with_structure_of
 
@@ -55,7 +56,9 @@ def unequal_belts(machine: Machine, declared: Machine, stds: float) -> tuple[Une
     Sections are compared if forces act between their coordinates: between others, as those of the two axes of
     a table, the ratio is that of the declared torque constants. A section is left out if its EA was not
     fitted, if one of its parameters is at the limit of the fit, or if an effect acts at it alone, because its
-    stiffness then depends on more than EA.
+    stiffness then depends on more than EA. A difference that no sensor of the machine could show is not told
+    either: where the motors are held and the drives' full force acts on the tool, it moves the tool by less
+    than the noise of the finest sensor there.
 
     Args:
         machine: Identified machine with its uncertainty.
@@ -79,7 +82,46 @@ def unequal_belts(machine: Machine, declared: Machine, stds: float) -> tuple[Une
         key = first.EA, frozenset(group)
         if pair is not None and (key not in found or pair.ratio < found[key].ratio):
             found[key] = pair
-    return tuple(found.values())
+    return tuple(pair for pair in found.values() if _shift(machine, pair) >= _finest_noise(machine))
+
+
+def _shift(machine: Machine, pair: UnequalBelts) -> float:
+    """Return by how much the softer belt moves the tool at full force, m, compared with one like the other.
+
+    The motors are held, and the drives' full force acts along one direction of the tool after the other.
+    Infinite if the drives move all coordinates, so that no tool behind the belts moves.
+    """
+    driven = {drive.coordinate for drive in machine.drives}
+    free = [i for i, name in enumerate(machine.coordinate_names) if name not in driven]
+    name = _fitted_name(pair.softer, "EA", machine)
+    stiffer = machine.replace({name: machine.parameters[name] / pair.ratio})
+    compliances = [np.linalg.pinv(stiffness_matrix(each)[np.ix_(free, free)]) for each in (machine, stiffer)]
+    travel = np.array([machine.coordinates[i].travel_per_unit for i in free])
+    shifts = [
+        float(np.abs(travel * (compliances[0] - compliances[1])[:, free.index(i)] * limits.force).max())
+        for leading, limits in motion_limits(machine).items()
+        if (i := machine.coordinate_names.index(leading)) in free
+    ]
+    return max(shifts, default=math.inf)
+
+
+def _finest_noise(machine: Machine) -> float:
+    """Return the smallest noise of the sensors of the tool's position, rounding included, m.
+
+    Without a sensor of what no drive holds, it is that of the others, in m of belt travel.
+    """
+    driven = {drive.coordinate for drive in machine.drives}
+    of_position = [sensor for sensor in machine.sensors if sensor.of_position]
+    at_tool = [sensor for sensor in of_position if driven.isdisjoint(sensor.row)]
+    noises = [
+        max(sensor.noise, sensor.resolution / math.sqrt(12.0))
+        * machine.coordinate(name).travel_per_unit
+        / abs(coefficient)
+        for sensor in at_tool or of_position
+        for name, coefficient in sensor.row.items()
+        if coefficient
+    ]
+    return min(noises, default=0.0)
 
 
 def _fitted_belts(machine: Machine, declared: Machine, priors: dict[str, FreeParameter]) -> list[Belt]:

@@ -127,3 +127,18 @@ def test_the_interval_has_the_digits_that_tell_its_ends_apart() -> None:
     (pair,) = unequal_belts(fitted(HFRAME, {"left.EA": 0.8}, relative_std=1e-4), HFRAME, STDS)
     assert "left is 20.0 % less stiff than right (20.0 to 20.0 %" not in pair.sentence()
     assert "left is 20.00 % less stiff than right (19.95 to 20.05 %" in pair.sentence()
+
+
+def test_a_difference_that_no_sensor_could_show_is_not_told() -> None:
+    """At full force, 0.3 % move the tool by 17 um, less than the noise of its sensors, and 20 % by 1.3 mm."""
+    slightly = fitted(HFRAME, {"left.EA": 0.997}, relative_std=1e-5)
+    assert compared(slightly) == []
+    assert compared(slightly.replace({"x_m.noise": 1e-5})) == [("left", "right")]
+    assert compared(fitted(HFRAME, {"left.EA": 0.8}, relative_std=1e-5)) == [("left", "right")]
+
+
+def test_without_a_sensor_of_the_tool_those_of_the_motors_count() -> None:
+    """Their rounding error is 3 um of belt travel."""
+    encoders = HFRAME.replace(sensors=HFRAME.sensors[:2])
+    assert compared(fitted(encoders, {"left.EA": 0.997}, relative_std=1e-5), encoders) == [("left", "right")]
+    assert compared(fitted(encoders, {"left.EA": 0.9996}, relative_std=1e-5), encoders) == []
