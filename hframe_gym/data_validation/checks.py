@@ -49,6 +49,7 @@ from .scales import check_scales
 from .speeds import check_computed_speeds, check_speeds
 from .starts import check_starts
 from .stuck_outputs import NOISE_SPAN, stuck_outputs
+from .swapped_drives import check_swapped_currents, check_swapped_set_points
 from .wiring import check_wiring
 
 _MIN_JUMPS = 2  # a single one may be a step, or a connection that was lost meanwhile
@@ -190,12 +191,16 @@ def _faults_and_advice(
     findings += _position_checks(moved, data, machine) + check_speeds(moved, machine)
     findings += check_computed_speeds(moved, machine)
     if not any(finding.severity == "fault" for finding in findings):
+        findings += check_swapped_set_points(data.with_runs(moving).runs, machine)
+    if not any(finding.severity == "fault" for finding in findings):
         findings += check_starts(moved, data, machine)
     if not any(finding.severity == "fault" for finding in findings):
         findings += check_signs_of_runs(data.with_runs(moving).runs, machine)
     if any(finding.severity == "fault" for finding in findings):
         return findings  # a fit would be meaningless
     moving_data = data.with_runs(moving)
+    if swapped := check_swapped_currents(moving_data.runs, machine):
+        return findings + swapped
     late = check_input_timing(moving_data, machine)
     if any(finding.severity == "fault" for finding in late):
         return findings + late  # currents belong to the voltages of their own rows then, and rightly so

@@ -84,7 +84,7 @@ def check_signs_of_runs(runs: Sequence[PreparedRecording], machine: Machine) -> 
     if machine.belts or machine.drive_laws or len(runs) < 2:
         return []
     if not machine.position_sensors.any():
-        runs, machine = _integrated(runs, machine)
+        runs, machine = with_integrated_speeds(runs, machine)
     if not machine.sensors:
         return []
     findings = []
@@ -109,7 +109,7 @@ def check_signs_of_runs(runs: Sequence[PreparedRecording], machine: Machine) -> 
     return findings
 
 
-def _integrated(
+def with_integrated_speeds(
     runs: Sequence[PreparedRecording], machine: Machine
 ) -> tuple[list[PreparedRecording], Machine]:
     """Return runs with positions in the place of speeds, from 0 at the first measurement, and the machine."""
