@@ -84,7 +84,8 @@ class EffectSearch:
         log: Called with a line of text for each candidate.
         drawback: Function of the fit with an effect that passes all tests. It returns a drawback of the
             effect, a clause that follows "it ", or "". An effect without a drawback is preferred even if it
-            explains less; if all have one, the effect that explains most is selected. Default: no drawbacks.
+            explains less; if all have one, the effect that explains most is selected. An effect with a
+            drawback replaces no earlier one. Default: no drawbacks.
         counts: Whether the number of voltage changes between the rows is checked again after each effect.
 
     Attributes:
@@ -392,6 +393,9 @@ class EffectSearch:
             if not enough or doubt_about_candidate(TestedFit(reduced, data), better, criteria):
                 continue
             effect = better.machine.effects[-1]
+            if self._drawback is not None and (drawback := self._drawback(better)):
+                self._log(f"  {effect.label} does not replace {old.effect.label}: it {drawback}")
+                continue
             self._log(f"  {effect.label} replaces {old.effect.label}: it {describe_gain(current, better)}")
             total = (reduced.cost - better.cost) / data.count
             # The finest step and all other effects decide between them; this fit has neither.

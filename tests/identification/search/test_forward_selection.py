@@ -11,11 +11,14 @@ from types import SimpleNamespace
 
 import pytest
 
-from hframe_gym.identification.fit.estimation import describe_gain
+from hframe_gym.identification.fit.estimation import Fit, describe_gain
 from hframe_gym.identification.judge.effect import hidden_by
 from hframe_gym.identification.predict.prediction import SIMULATION
+from hframe_gym.identification.search.forward_selection import EffectSearch
 from hframe_gym.machine import AppliedEffect
 from tests.identification.scripted_fits import (
+    AXIS,
+    CRITERIA,
     DATA,
     DRAG,
     FRAME,
@@ -189,6 +192,27 @@ def test_a_better_effect_replaces_an_earlier_one(
     assert effects[1].rival_effects == (PUSH, DRAG)  # the finest step decides between them
     assert effects[1].gain == pytest.approx(6.0 - chi2)
     assert fitted is scripted.replacement
+
+
+@pytest.mark.parametrize(
+    ("drawback_of", "kept"), [(STRIBECK, [PUSH, SPRING]), (PUSH, [SPRING, STRIBECK])], ids=["new", "old"]
+)
+def test_an_effect_with_a_drawback_replaces_no_earlier_one(
+    scripted: Scripted, drawback_of: AppliedEffect, kept: list[AppliedEffect]
+) -> None:
+    """Friction that warms up fitted some runs of a flywheel better, and undid what others had confirmed."""
+
+    def drawback(fitted: Fit) -> str:
+        return "does not help" if drawback_of in fitted.machine.effects else ""
+
+    scripted.without = {PUSH.label: fit_with(SPRING, chi2=6.0)}
+    scripted.replacement = fit_with(SPRING, STRIBECK, chi2=1.5)
+    search = EffectSearch(DATA, AXIS, CRITERIA, scripted.lines.append, drawback)
+    chosen = (selected(PUSH), selected(SPRING))
+    _, effects = search._exchange(fit_with(PUSH, SPRING, chi2=2.0), chosen, chosen[:-1])
+    assert [s.effect for s in effects] == kept
+    line = f"  {STRIBECK.label} does not replace {PUSH.label}: it does not help"
+    assert scripted.lines.count(line) == (drawback_of is STRIBECK)
 
 
 @pytest.mark.parametrize(
