@@ -32,6 +32,7 @@ from ...machine import (
     Variant,
 )
 from ...registry import PLUGIN_VARIABLE, Registry
+from .other_units import converted
 from .plausibility import implausible_values
 from .schema import EFFECT_FIELDS, EffectEntry, EffectField, MachineFile, QuantityEntry, UncertaintyEntry
 
@@ -171,9 +172,15 @@ class MachineReader:
     def _check_quantity(self, field: str, given: QuantityEntry, declared: Number, unit: str) -> None:
         """Refuse a number that has another unit, or lies outside its bounds."""
         if given.unit not in (unit, declared.older_unit or unit):
-            raise self._error(field, f"unit is {given.unit!r}, must be {unit!r}")
+            raise self._unit_error(field, given, unit)
         if not declared.lower <= given.value <= declared.upper:
             raise self._error(field, f"{given.value:g} must be {declared.limits(given.value)}")
+
+    def _unit_error(self, field: str, given: QuantityEntry, unit: str) -> InputError:
+        """Return the error about a wrong unit, with the value in the right one where it is known."""
+        value = converted(given.value, given.unit, unit)
+        remedy = "" if value is None else f'; write {{"value": {value:.6g}, "unit": "{unit}"}}'
+        return self._error(field, f"unit is {given.unit!r}, must be {unit!r}{remedy}")
 
     def _check_interval(self, field: str, interval: tuple[float, float]) -> None:
         """Refuse an interval that ends before it begins."""
@@ -256,7 +263,7 @@ class MachineReader:
                 reason = f"the kind {entry.kind!r} has no such parameter; it has {', '.join(names)}"
                 raise self._error(place, reason)
             if quantity.unit != variant.units[key]:
-                raise self._error(place, f"unit is {quantity.unit!r}, must be {variant.units[key]!r}")
+                raise self._unit_error(place, quantity, variant.units[key])
         values = {key: variant.defaults[key] for key in names if key in variant.defaults}
         values |= {key: quantity.value for key, quantity in given.items()}
         missing = next((key for key in names if key not in values), None)
@@ -368,7 +375,7 @@ class MachineReader:
         for key, quantity in entry.parameters.items():
             unit = machine.effect_unit(applied, key)
             if quantity.unit != unit:
-                raise self._error(f"{field}.{key}", f"unit is {quantity.unit!r}, must be {unit!r}")
+                raise self._unit_error(f"{field}.{key}", quantity, unit)
         return applied
 
     def _uncertainty(self, table: UncertaintyEntry, machine: Machine) -> Uncertainty:
