@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..machine import Machine
-from ..preparation.input_noise import noise_of_input, noisy_inputs
+from ..preparation.inputs.measured_noise import noise_of_input, noisy_inputs
 from ..recordings import Recording
 from .findings import Finding, channel_unit
 

@@ -25,8 +25,8 @@ from ..arrays import Array
 from ..errors import name_runs
 from ..identification import PreparedRecording
 from ..machine import Machine
-from ..preparation.force_balance import EXPLAINED, SPANS, explains_instead
-from ..preparation.motion_windows import ForceEquations, force_equations, motion_windows
+from ..preparation.forces.force_balance import EXPLAINED, SPANS, explains_instead
+from ..preparation.forces.motion_windows import ForceEquations, force_equations, motion_windows
 from ..recordings import comparison_window
 from .findings import Finding
 

@@ -14,7 +14,7 @@ import numpy as np
 from ..arrays import Array
 from ..identification import Dataset
 from ..machine import Machine
-from ..preparation.force_balance import EXPLAINED, Balance
+from ..preparation.forces.force_balance import EXPLAINED, Balance
 from .findings import Finding, channel_unit
 from .span_motion import MIN_ROWS, SpanMotion, correlation, span_motion
 from .time_unit import check_time_unit

@@ -12,7 +12,7 @@ from scipy.integrate import cumulative_trapezoid
 
 from ..arrays import Array
 from ..machine import Machine
-from ..preparation.sensor_noise import sensor_quantum
+from ..preparation.sensors.noise import sensor_quantum
 from ..recordings import Recording
 from .findings import Finding
 from .wiring import REMEDY, rigid_prediction

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..dynamics import stiffness_matrix
 from ..machine import Machine
-from ..preparation.initial_rest import count_resting_rows
+from ..preparation.start.rest import count_resting_rows
 from ..recordings import Recording, bridge_blanks, peak_to_peak
 from .findings import Finding, Severity
 from .wiring import rigid_misfit, rigid_prediction

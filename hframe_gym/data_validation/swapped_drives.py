@@ -16,8 +16,8 @@ from scipy.optimize import nnls
 from ..arrays import Array
 from ..identification import PreparedRecording
 from ..machine import Machine
-from ..preparation.force_balance import EXPLAINED, SPANS, explains_instead
-from ..preparation.motion_windows import MotionWindows, leading_motions, motion_windows
+from ..preparation.forces.force_balance import EXPLAINED, SPANS, explains_instead
+from ..preparation.forces.motion_windows import MotionWindows, leading_motions, motion_windows
 from ..recordings import comparison_window
 from .findings import Finding
 from .run_signs import with_integrated_speeds

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ..identification import Dataset
-from ..preparation.force_balance import EXPLAINED, Balance
+from ..preparation.forces.force_balance import EXPLAINED, Balance
 from .findings import Finding
 
 # Factors of a time in another unit: milliseconds, hundredths, minutes, or a wrong rate.

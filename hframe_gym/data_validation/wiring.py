@@ -18,8 +18,8 @@ import numpy as np
 from ..arrays import Array
 from ..identification import Dataset, PreparedRecording
 from ..machine import Machine
-from ..preparation.force_balance import EXPLAINED, SPANS, Balance, explains_instead, force_balance
-from ..preparation.motion_windows import leading_motions, motion_windows
+from ..preparation.forces.force_balance import EXPLAINED, SPANS, Balance, explains_instead, force_balance
+from ..preparation.forces.motion_windows import leading_motions, motion_windows
 from ..recordings import comparison_window
 from .findings import Finding
 

@@ -1,9 +1,9 @@
 """Identify a machine from recordings: initial states, fit, selection of effects, evaluation, report."""
 
 from ..preparation.dataset import MIN_ROWS, Dataset, PreparedRecording
-from ..preparation.division import hold_out
-from ..preparation.rest_measurement import InitialState, estimate_initial_state
+from ..preparation.runs.held_out import hold_out
 from ..preparation.session import prepare
+from ..preparation.start.measured_state import InitialState, estimate_initial_state
 from .evidence.tried_effects import SelectedEffect
 from .fit.estimation import Fit, fit
 from .identify import identify

@@ -20,8 +20,8 @@ from ..machine import Machine
 from ..operating_system import reused_memory
 from ..parallel import single_threaded_linear_algebra
 from ..preparation.dataset import Dataset, runs_that_should_move
-from ..preparation.division import copied_runs, divide_runs, moving_runs, short_runs
-from ..preparation.excerpt import representative_part
+from ..preparation.runs.excerpt import representative_part
+from ..preparation.runs.held_out import copied_runs, divide_runs, moving_runs, short_runs
 from ..preparation.session import Session, prepare_session
 from ..recordings import Recording, load_machine
 from ..registry import load_plugins

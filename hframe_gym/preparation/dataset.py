@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..machine import Machine
-from .clock_voltages import ClockVoltages, updated_inputs_of_clock
-from .encoder_zeros import EncoderZeros
-from .initial_state import model_initial_states
-from .interpolated_voltages import Interpolation, mean_inputs, update_times
-from .rest_measurement import InitialState
-from .sensor_zeros import max_zero_means
+from .inputs.clock_voltages import ClockVoltages, updated_inputs_of_clock
+from .inputs.interpolated_voltages import Interpolation, mean_inputs, update_times
+from .start.encoder_zeros import EncoderZeros
+from .start.measured_state import InitialState
+from .start.modeled_state import model_initial_states
+from .start.sensor_zeros import max_zero_means
 
 MIN_ROWS = 20  # rows of a run that the filters of the residual need
 # Part of the intervals between rows that integration steps divide as intended; where rows were lost, they are

@@ -13,17 +13,17 @@ from ..errors import merge_run_warnings
 from ..line_log import LineLog
 from ..machine import Machine
 from ..recordings import Recording, fill_gaps, shared_wraps, without_shared_wraps
-from .clock_jitter import clock_jitter, noise_by_row
-from .clock_voltages import clock_voltages
+from .clock.jitter import clock_jitter, noise_by_row
 from .dataset import Dataset, PreparedRecording
-from .drive_signs import turned_coordinates, with_turned
-from .initial_state import measured_initial_state
-from .rest_measurement import estimate_initial_state
-from .saturation import Range
-from .sensor_noise import independent_values, sensor_noise, sensor_quantum
-from .sensor_zeros import free_zeros, has_zero
+from .forces.drive_signs import turned_coordinates, with_turned
+from .inputs.clock_voltages import clock_voltages
+from .sensors.noise import independent_values, sensor_noise, sensor_quantum
+from .sensors.saturation import Range
+from .sensors.unmeasured_positions import without_unmeasured_positions
 from .session_zeros import common_encoder_zeros
-from .unmeasured_positions import without_unmeasured_positions
+from .start.measured_state import estimate_initial_state
+from .start.modeled_state import measured_initial_state
+from .start.sensor_zeros import free_zeros, has_zero
 from .usable import from_first_measurement, usable_run, without_saturated, without_unknown_voltage
 
 _TURNED = (

@@ -13,11 +13,11 @@ import numpy as np
 from ..arrays import Array, Quanta
 from ..machine import Machine
 from ..robust_statistics import std_by_median
-from .belt_stretch import max_held_angle
 from .dataset import Dataset
-from .encoder_zeros import MAX_SCATTER, EncoderZeros
-from .initial_state import encoder_zero_errors
-from .rest_measurement import InitialState
+from .start.belt_stretch import max_held_angle
+from .start.encoder_zeros import MAX_SCATTER, EncoderZeros
+from .start.measured_state import InitialState
+from .start.modeled_state import encoder_zero_errors
 
 # Runs needed to distinguish an encoder that keeps its zero from one that is switched on anew for every run.
 _MIN_RUNS_FOR_ZERO = 3

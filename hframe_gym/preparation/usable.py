@@ -26,12 +26,12 @@ from ..recordings import (
     without_wraps,
     wraps_of,
 )
+from .clock.regular_clock import with_regular_clock
 from .dataset import MIN_ROWS
-from .initial_rest import InitialRest, count_resting_rows, initial_rest, without_moving_start
-from .input_noise import without_input_noise
-from .regular_clock import with_regular_clock
-from .saturation import Range, blank_saturated, saturation_ranges
-from .sensor_noise import sensor_noise, sensor_quantum
+from .inputs.measured_noise import without_input_noise
+from .sensors.noise import sensor_noise, sensor_quantum
+from .sensors.saturation import Range, blank_saturated, saturation_ranges
+from .start.rest import InitialRest, count_resting_rows, initial_rest, without_moving_start
 
 
 class UsableRun(NamedTuple):

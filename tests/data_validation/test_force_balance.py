@@ -9,8 +9,8 @@ from hframe_gym.data_validation import Finding, check_before_fit
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import prepare
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Coordinate, Drive, Machine, Sensor
-from hframe_gym.preparation.force_balance import force_balance
-from hframe_gym.preparation.motion_windows import motion_windows
+from hframe_gym.preparation.forces.force_balance import force_balance
+from hframe_gym.preparation.forces.motion_windows import motion_windows
 from hframe_gym.recordings import Recording
 from tests.data_validation.planted_mistakes import faults, measure
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hframe_gym.preparation.clock_jitter import clock_jitter
+from hframe_gym.preparation.clock.jitter import clock_jitter
 
 
 @pytest.mark.parametrize("jitter", [0.0, 20e-6])

@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 
 from hframe_gym.arrays import Array
-from hframe_gym.preparation.clock_voltages import clock_voltages, updated_inputs_of_clock, with_clock_voltages
-from hframe_gym.preparation.interpolated_voltages import update_times, updated_inputs
+from hframe_gym.preparation.inputs.clock_voltages import (
+    clock_voltages,
+    updated_inputs_of_clock,
+    with_clock_voltages,
+)
+from hframe_gym.preparation.inputs.interpolated_voltages import update_times, updated_inputs
 
 PERIOD, ROWS = 1e-3, 1500  # s, of the controller; rows of a log
 LOGS = 40  # one log alone tells the mean within a third

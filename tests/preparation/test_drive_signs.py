@@ -13,7 +13,7 @@ from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import identify, prepare
 from hframe_gym.identification.budget import Budget
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, Sensor
-from hframe_gym.preparation.drive_signs import turned_coordinates, with_turned
+from hframe_gym.preparation.forces.drive_signs import turned_coordinates, with_turned
 from hframe_gym.recordings import Recording, load_machine
 
 PENDULUM = load_machine("pendulum")

@@ -12,7 +12,12 @@ from hframe_gym.dynamics import simulate
 from hframe_gym.identification import identify
 from hframe_gym.identification.budget import DEFAULT_SECONDS, Budget, stage_ends
 from hframe_gym.preparation.dataset import Dataset
-from hframe_gym.preparation.excerpt import NORMAL_SESSION, describe_part, largest_share, representative_part
+from hframe_gym.preparation.runs.excerpt import (
+    NORMAL_SESSION,
+    describe_part,
+    largest_share,
+    representative_part,
+)
 from hframe_gym.preparation.session import prepare
 from hframe_gym.recordings import Recording
 from tests.identification.single_axis import AXIS, limited_runs

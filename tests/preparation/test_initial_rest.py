@@ -9,9 +9,9 @@ import pytest
 
 from hframe_gym.identification import prepare, simulate_recording
 from hframe_gym.machine import Machine
-from hframe_gym.preparation.initial_rest import count_resting_rows, initial_rest, without_moving_start
-from hframe_gym.preparation.rest_measurement import estimate_initial_state
-from hframe_gym.preparation.sensor_zeros import sensor_zero_error
+from hframe_gym.preparation.start.measured_state import estimate_initial_state
+from hframe_gym.preparation.start.rest import count_resting_rows, initial_rest, without_moving_start
+from hframe_gym.preparation.start.sensor_zeros import sensor_zero_error
 from hframe_gym.recordings import Recording, load_machine
 
 NOISE = 20e-6  # m

@@ -20,9 +20,9 @@ from hframe_gym.identification import (
 )
 from hframe_gym.identification.fit.channel_errors import channel_errors
 from hframe_gym.machine import BUILTIN_MACHINES, Belt, Machine, rest_state
-from hframe_gym.preparation.belt_stretch import static_equilibrium
-from hframe_gym.preparation.initial_state import encoder_zero_errors, model_initial_states
 from hframe_gym.preparation.session_zeros import refine_encoder_zeros
+from hframe_gym.preparation.start.belt_stretch import static_equilibrium
+from hframe_gym.preparation.start.modeled_state import encoder_zero_errors, model_initial_states
 from hframe_gym.recordings import Recording, load_machine
 from tests import reference_simulator as reference
 

@@ -11,8 +11,12 @@ import pytest
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import simulate_recording
 from hframe_gym.machine import Machine, Sensor
-from hframe_gym.preparation.belt_stretch import rigid_basis, stretch_angles
-from hframe_gym.preparation.rest_measurement import InitialVelocity, estimate_initial_state, initial_velocity
+from hframe_gym.preparation.start.belt_stretch import rigid_basis, stretch_angles
+from hframe_gym.preparation.start.measured_state import (
+    InitialVelocity,
+    estimate_initial_state,
+    initial_velocity,
+)
 from hframe_gym.recordings import Recording, load_machine
 
 NOISE = 20e-6  # m

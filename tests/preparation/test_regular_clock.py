@@ -9,7 +9,7 @@ import pytest
 
 from hframe_gym.arrays import Array
 from hframe_gym.machine import BUILTIN_MACHINES
-from hframe_gym.preparation.regular_clock import with_regular_clock
+from hframe_gym.preparation.clock.regular_clock import with_regular_clock
 from hframe_gym.preparation.usable import usable_run
 from hframe_gym.recordings import Recording
 

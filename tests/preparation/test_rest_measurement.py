@@ -10,9 +10,10 @@ import pytest
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import InitialState, estimate_initial_state
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, Sensor, commanded_state
-from hframe_gym.preparation.rest_measurement import count_resting_rows, settled_rows
-from hframe_gym.preparation.sensor_zeros import sensor_zero_error
 from hframe_gym.preparation.session_zeros import common_encoder_zeros
+from hframe_gym.preparation.start.measured_state import settled_rows
+from hframe_gym.preparation.start.rest import count_resting_rows
+from hframe_gym.preparation.start.sensor_zeros import sensor_zero_error
 from hframe_gym.recordings import Recording
 
 RADIUS = 0.0194

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.machine import Machine
-from hframe_gym.preparation.saturation import blank_saturated, range_effects, saturation_ranges
+from hframe_gym.preparation.sensors.saturation import blank_saturated, range_effects, saturation_ranges
 from hframe_gym.recordings import Recording
 
 QUANTUM = 5.2e-4

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hframe_gym.preparation.sensor_noise import (
+from hframe_gym.preparation.sensors.noise import (
     difference_noise,
     independent_values,
     sensor_noise,

@@ -10,7 +10,7 @@ import pytest
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import identify
 from hframe_gym.machine import Machine, Sensor
-from hframe_gym.preparation.unmeasured_positions import without_unmeasured_positions
+from hframe_gym.preparation.sensors.unmeasured_positions import without_unmeasured_positions
 from hframe_gym.recordings import Recording
 from tests.identification.single_axis import AXIS
 

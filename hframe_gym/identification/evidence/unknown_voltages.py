@@ -26,7 +26,7 @@ from ...arrays import Array
 from ...dynamics.simulation import Motion
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording
-from ...preparation.interpolated_voltages import updated_inputs
+from ...preparation.inputs.interpolated_voltages import updated_inputs
 from ..fit.estimation import Fit
 from ..predict.free_parameters import prior_precision
 from ..predict.linearization import ResidualModel

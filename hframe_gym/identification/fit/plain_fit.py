@@ -36,8 +36,13 @@ from ...arrays import Array
 from ...effects import EFFECTS
 from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset, PreparedRecording
-from ...preparation.excerpt import NORMAL_SESSION, representative_part
-from ...preparation.motion_windows import MotionWindows, force_equations, leading_motions, motion_windows
+from ...preparation.forces.motion_windows import (
+    MotionWindows,
+    force_equations,
+    leading_motions,
+    motion_windows,
+)
+from ...preparation.runs.excerpt import NORMAL_SESSION, representative_part
 from ...recordings import bridge_blanks, comparison_window
 from ..budget import PLAIN_FIT_PART, Budget, goes_on
 from ..judge.chance import LongRunVariance, chance_gain, exceeds_chance

@@ -17,8 +17,8 @@ import numpy as np
 from ...arrays import Array
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording
-from ...preparation.rest_measurement import InitialState
 from ...preparation.session_zeros import may_correct_zeros, refine_encoder_zeros, with_zeros
+from ...preparation.start.measured_state import InitialState
 from ..judge.criteria import SelectionCriteria
 from ..judge.error import FitError, is_enough, only_noise_is_left, required_gain
 from ..predict.prediction import (

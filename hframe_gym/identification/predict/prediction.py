@@ -27,9 +27,9 @@ from ...dynamics import resolved_step, simulate_batch
 from ...dynamics.simulation import Motion, threads
 from ...machine import Machine, carried_through_contacts
 from ...parallel import single_threaded_linear_algebra
-from ...preparation.belt_stretch import rigid_basis
 from ...preparation.dataset import Dataset, PreparedRecording
-from ...preparation.sensor_zeros import max_zero_means, zeros_from_means
+from ...preparation.start.belt_stretch import rigid_basis
+from ...preparation.start.sensor_zeros import max_zero_means, zeros_from_means
 from .error_loops import mean_errors, scaled_errors
 
 T = TypeVar("T")

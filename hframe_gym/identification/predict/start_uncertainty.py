@@ -20,10 +20,15 @@ from ...arrays import Array
 from ...dynamics import Equations
 from ...dynamics.simulation import Motion, parameter_batch
 from ...machine import Machine, carried_through_contacts
-from ...preparation.belt_stretch import linear_coordinates, rigid_basis, stretch_angles, vibration_speeds
 from ...preparation.dataset import Dataset, PreparedRecording
-from ...preparation.initial_state import model_initial_states
-from ...preparation.rest_measurement import InitialState
+from ...preparation.start.belt_stretch import (
+    linear_coordinates,
+    rigid_basis,
+    stretch_angles,
+    vibration_speeds,
+)
+from ...preparation.start.measured_state import InitialState
+from ...preparation.start.modeled_state import model_initial_states
 from .prediction import SEARCH_STEP, predict, residuals, whitened
 
 # Fraction of a standard deviation over which the influence of an effect's state is computed. The friction of

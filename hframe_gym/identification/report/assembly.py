@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from ...machine import Machine
 from ...preparation.dataset import Dataset
-from ...preparation.excerpt import NORMAL_SESSION, representative_part
+from ...preparation.runs.excerpt import NORMAL_SESSION, representative_part
 from ..budget import Budget
 from ..evidence.held_out import error_reduction, held_out_gain, is_excited
 from ..evidence.tried_effects import ConsideredEffect, SelectedEffect

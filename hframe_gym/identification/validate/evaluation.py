@@ -16,8 +16,8 @@ from ...arrays import Array
 from ...line_log import LineLog
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording
-from ...preparation.excerpt import representative_part
-from ...preparation.saturation import Range, range_effects
+from ...preparation.runs.excerpt import representative_part
+from ...preparation.sensors.saturation import Range, range_effects
 from ...preparation.session import Session, with_all_measurements
 from ...preparation.session_zeros import may_correct_zeros
 from ..evidence.effect_parameters import sizes

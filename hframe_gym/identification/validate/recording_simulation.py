@@ -15,19 +15,19 @@ from numpy.typing import NDArray
 from ...arrays import Array
 from ...dynamics import resolved_step, simulate, simulate_batch
 from ...machine import Machine, Trajectory
-from ...preparation.clock_voltages import clock_voltages, with_clock_voltages
-from ...preparation.encoder_zeros import EncoderZeros
-from ...preparation.initial_state import measured_initial_state, model_initial_states
-from ...preparation.interpolated_voltages import update_times, updated_inputs
-from ...preparation.rest_measurement import InitialState
-from ...preparation.sensor_zeros import (
+from ...preparation.inputs.clock_voltages import clock_voltages, with_clock_voltages
+from ...preparation.inputs.interpolated_voltages import update_times, updated_inputs
+from ...preparation.session import prepare
+from ...preparation.start.encoder_zeros import EncoderZeros
+from ...preparation.start.measured_state import InitialState
+from ...preparation.start.modeled_state import measured_initial_state, model_initial_states
+from ...preparation.start.sensor_zeros import (
     free_zeros,
     has_zero,
     max_reported_zero_means,
     max_zero_means,
     sensor_zero_error,
 )
-from ...preparation.session import prepare
 from ...preparation.usable import (
     from_first_measurement,
     rest_and_noise,

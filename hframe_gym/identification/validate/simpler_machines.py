@@ -20,7 +20,7 @@ from ...effects.smooth_table import TABLE_FAMILY
 from ...line_log import LineLog
 from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset
-from ...preparation.excerpt import is_long, representative_part
+from ...preparation.runs.excerpt import is_long, representative_part
 from ..budget import LAST_STAGE_END, Budget, BudgetEndedError
 from ..evidence.held_out import contradicting_held_out_runs
 from ..evidence.tried_effects import SelectedEffect, Selection

@@ -41,7 +41,7 @@ from hframe_gym.identification.predict.voltage_errors import with_voltage_errors
 from hframe_gym.identification.search.checked_search import _interpolated, _Runs, _Voltages, find_effects
 from hframe_gym.identification.validate.recording_simulation import simulate_recording
 from hframe_gym.machine import BUILTIN_MACHINES
-from hframe_gym.preparation.interpolated_voltages import mean_inputs, update_times, updated_inputs
+from hframe_gym.preparation.inputs.interpolated_voltages import mean_inputs, update_times, updated_inputs
 from hframe_gym.recordings import Recording
 from tests.identification.controlled_runs import PERIOD, controlled_run, every, random_places
 from tests.identification.scripted_fits import fit_with

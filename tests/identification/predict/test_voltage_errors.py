@@ -59,7 +59,7 @@ from hframe_gym.identification.report.remainder import reason_of_remainder
 from hframe_gym.identification.report.verdict_words import verdict_sentence
 from hframe_gym.identification.validate.evaluation import _quiet
 from hframe_gym.machine import BUILTIN_MACHINES
-from hframe_gym.preparation.clock_voltages import ClockVoltages, updated_inputs_of_clock
+from hframe_gym.preparation.inputs.clock_voltages import ClockVoltages, updated_inputs_of_clock
 from hframe_gym.recordings import Recording
 from tests.identification.controlled_runs import controlled_run, every, random_places
 

@@ -17,14 +17,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array
-from ..dynamics import simulate_batch
-from ..dynamics.physics.effect_instances import instances_with_state
-from ..machine import Machine, Sensor, commanded_state
-from ..recordings import Recording, peak_to_peak
+from ...arrays import Array
+from ...dynamics import simulate_batch
+from ...dynamics.physics.effect_instances import instances_with_state
+from ...machine import Machine, Sensor, commanded_state
+from ...recordings import Recording, peak_to_peak
 from .belt_stretch import rigid_basis, vibration_speeds
 from .encoder_zeros import EncoderZeros
-from .initial_rest import NOISE_TOLERANCE, SPEED_ZERO_ERROR, count_resting_rows, measurement_noise
+from .rest import NOISE_TOLERANCE, SPEED_ZERO_ERROR, count_resting_rows, measurement_noise
 
 # Weights of encoders that matter only where no laser measures: behind stretched belts, and with an unknown
 # zero.

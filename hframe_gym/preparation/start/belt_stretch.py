@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import null_space
 
-from ..arrays import Array
-from ..dynamics import effect_forces, stiffness_matrix
-from ..machine import Machine, pulley_names, rest_state
+from ...arrays import Array
+from ...dynamics import effect_forces, stiffness_matrix
+from ...machine import Machine, pulley_names, rest_state
 
 # Torques that typically stretch the belts: at rest, the part of the motors' Coulomb friction that a decaying
 # vibration leaves; in motion, the part of the torque at rated voltage that does not accelerate the motors or

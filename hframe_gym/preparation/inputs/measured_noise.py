@@ -14,11 +14,11 @@ import dataclasses
 
 import numpy as np
 
-from ..arrays import Array, Measurements
-from ..line_log import LineLog
-from ..machine import Machine
-from ..recordings import Recording
-from ..robust_statistics import white_noise
+from ...arrays import Array, Measurements
+from ...line_log import LineLog
+from ...machine import Machine
+from ...recordings import Recording
+from ...robust_statistics import white_noise
 
 # Fraction of an input's root mean square. Current sensors of amplifiers have 0.1 to 2 %; a recorded motor
 # whose current had 20 % was simulated eight times as well with a current that was smoothed.

@@ -7,11 +7,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array, Quanta
-from ..machine import SENSOR_KINDS, Machine
+from ...arrays import Array, Quanta
+from ...machine import SENSOR_KINDS, Machine
 from .belt_stretch import stretch_angles
 from .encoder_zeros import EncoderZeros, zero_tolerance
-from .rest_measurement import InitialState, settled_rows
+from .measured_state import InitialState, settled_rows
 
 _FIRST_ROWS = 5  # rows from which the zero of a noisy sensor is estimated if only one row is at rest
 _MOVING_STRETCH = 4.0  # times the typical stretch of the belts at the start of a run that begins in motion

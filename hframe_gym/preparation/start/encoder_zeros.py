@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array, Quanta
-from ..machine import Machine
+from ...arrays import Array, Quanta
+from ...machine import Machine
 from .belt_stretch import max_held_angle
 
 MAX_SCATTER = 4.0  # Standard deviations of the scatter from run to run within which an encoder kept its zero.

@@ -16,9 +16,9 @@ from itertools import combinations
 
 import numpy as np
 
-from ..machine import Machine, Sensor
-from ..recordings import comparison_window
-from .dataset import PreparedRecording
+from ...machine import Machine, Sensor
+from ...recordings import comparison_window
+from ..dataset import PreparedRecording
 from .force_balance import EXPLAINED, SPANS, explains_instead, force_balance
 from .motion_windows import motion_windows
 

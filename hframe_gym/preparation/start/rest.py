@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array
-from ..machine import Machine, Sensor
-from ..recordings import Recording, peak_to_peak
-from .sensor_noise import difference_noise, sensor_quantum
+from ...arrays import Array
+from ...machine import Machine, Sensor
+from ...recordings import Recording, peak_to_peak
+from ..sensors.noise import difference_noise, sensor_quantum
 
 _MIN_ROWS = 16  # Fewer rows are not divided into blocks, and do not show rest after motion.
 # Medians of blocks of rows are compared: a median of 10 ms has little noise, and eight of them show a trend.

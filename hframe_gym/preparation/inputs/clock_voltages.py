@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
-from ..arrays import Array, Times
-from ..robust_statistics import std_by_median
+from ...arrays import Array, Times
+from ...robust_statistics import std_by_median
 from .interpolated_voltages import Interpolation, updated_inputs
 
 _DIFFERENCES = 3  # order; a motion hardly has third differences from row to row, jitter has the largest

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import savgol_coeffs, savgol_filter
 
-from ..arrays import Array, Measurements, Quanta, Times
-from ..recordings import exact_quantum, quantum_of
-from ..robust_statistics import std_by_median, white_noise
+from ...arrays import Array, Measurements, Quanta, Times
+from ...recordings import exact_quantum, quantum_of
+from ...robust_statistics import std_by_median, white_noise
 
 _CURVE_ROWS = 21  # Measurements of a curve; in slow motion, they extend over several quanta.
 _ROUNDING_ACCURACY = 1.2  # Rounding alone is estimated up to 12 % too large.

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import savgol_filter
 
-from ..arrays import Array, Measurements, Times
+from ...arrays import Array, Measurements, Times
 
 _SPEED_ROWS, MIN_JITTER_ROWS = 11, 50  # samples that a speed is computed from; measured rows of a run
 # Largest jitter, in sampling periods. Times that err uniformly over a whole period have a standard deviation

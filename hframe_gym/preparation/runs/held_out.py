@@ -8,13 +8,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array
-from ..errors import InputError, name_runs, suggestion
-from ..machine import Machine
-from ..recordings import Recording, peak_to_peak
-from .dataset import MIN_ROWS
-from .run_accelerations import acceleration_fractions
-from .sensor_noise import difference_noise
+from ...arrays import Array
+from ...errors import InputError, name_runs, suggestion
+from ...machine import Machine
+from ...recordings import Recording, peak_to_peak
+from ..dataset import MIN_ROWS
+from ..sensors.noise import difference_noise
+from .accelerations import acceleration_fractions
 
 _GROUP_SIZE = 4  # One of four runs is held out.
 # Relative difference of spectra below which runs count as alike. Repetitions with other random numbers differ

@@ -22,8 +22,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import nnls
 
-from ..arrays import Array
-from ..machine import Machine
+from ...arrays import Array
+from ...machine import Machine
 from .motion_windows import MotionWindows, force_equations, leading_motions
 
 # Fraction of the squared force of the drives, or of the squared motion, below which a motion is explained. On

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..machine import Machine
-from ..recordings import Recording
+from ...machine import Machine
+from ...recordings import Recording
 
 _LEFT_OUT = (
     "No run measures a position. {} is left out, also of the machines here, so forces that depend "

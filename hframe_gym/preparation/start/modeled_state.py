@@ -17,12 +17,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array, Quanta
-from ..machine import Machine, rest_state
-from ..recordings import Recording
+from ...arrays import Array, Quanta
+from ...machine import Machine, rest_state
+from ...recordings import Recording
 from .belt_stretch import linear_coordinates, rigid_basis, static_equilibrium
 from .encoder_zeros import EncoderZeros, zero_tolerance
-from .rest_measurement import InitialState, estimate_initial_state
+from .measured_state import InitialState, estimate_initial_state
 
 _INVERSION_STEPS = 4  # Each leaves a few hundredths of the error.
 _INVERSION_TOLERANCE = 1e-6  # m

@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..arrays import Array, SensorNoise
-from ..effects import EFFECTS
-from ..effects.sensor_range import UNLIMITED
-from ..machine import AppliedEffect, Machine
-from ..recordings import Recording
+from ...arrays import Array, SensorNoise
+from ...effects import EFFECTS
+from ...effects.sensor_range import UNLIMITED
+from ...machine import AppliedEffect, Machine
+from ...recordings import Recording
 
 Range = tuple[float, float]
 

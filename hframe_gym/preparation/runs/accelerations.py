@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..arrays import Array
-from ..machine import Machine
-from ..recordings import Recording, without_outliers
-from .sensor_noise import difference_noise
+from ...arrays import Array
+from ...machine import Machine
+from ...recordings import Recording, without_outliers
+from ..sensors.noise import difference_noise
 
 # Parts of the longest run. A start is over in a few of them, and its acceleration counts whatever it lasts;
 # noise, which each difference divides by their duration, stays small.

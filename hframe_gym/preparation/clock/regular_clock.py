@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Array
-from ..machine import Machine
-from ..recordings import Recording
-from .clock_jitter import MIN_JITTER_ROWS, smooth_speed
+from ...arrays import Array
+from ...machine import Machine
+from ...recordings import Recording
+from .jitter import MIN_JITTER_ROWS, smooth_speed
 
 # Mean squared fifth difference at the stamps / that at equal steps, of the sensor that shows the difference
 # best. Only noise is left where stamps are as good as equal steps (1); 100 us of jitter reach 100 with the

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
-from ..arrays import Array
-from ..machine import Machine, rigid_motions
-from ..recordings import bridge_blanks
-from .belt_stretch import rigid_basis
-from .dataset import PreparedRecording
+from ...arrays import Array
+from ...machine import Machine, rigid_motions
+from ...recordings import bridge_blanks
+from ..dataset import PreparedRecording
+from ..start.belt_stretch import rigid_basis
 
 _OVERLAP = 2  # grid points of the balance per window
 _RESTING = 0.02  # fraction of the largest speed; below, static friction may have any value

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator, CubicSpline, make_interp_spline
 
-from ..arrays import Array, Times
+from ...arrays import Array, Times
 
 # "straight" reduces what is fast, "spline" overshoots where voltages jump; the truth lies between them.
 Interpolation = Literal["akima", "straight", "spline"]

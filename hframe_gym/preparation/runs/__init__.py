@@ -1,0 +1,1 @@
+"""Which runs, and which of their rows, are fitted, held out or left out."""

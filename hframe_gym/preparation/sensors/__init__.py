@@ -1,0 +1,1 @@
+"""What the sensors can tell: noise and quantization, ranges at whose ends they saturate, positions that none measures."""
