@@ -10,8 +10,8 @@ import numpy as np
 from ..identification import Dataset
 from ..machine import Machine
 from ..preparation.clock.regular_clock import with_regular_clock
-from ..preparation.dataset import runs_that_should_move, turns_steadily
-from ..preparation.runs.held_out import copied_runs, short_runs
+from ..preparation.runs.left_out import copied_runs, short_runs
+from ..preparation.runs.moving import runs_that_should_move, turns_steadily
 from ..preparation.sensors.noise import noise_at_rest
 from ..preparation.session import prepare_within_ranges
 from ..preparation.start.rest import InitialRest, without_moving_start

@@ -26,7 +26,8 @@ from ..errors import name_runs
 from ..identification import PreparedRecording
 from ..machine import Machine
 from ..preparation.forces.force_balance import EXPLAINED, SPANS, explains_instead
-from ..preparation.forces.motion_windows import ForceEquations, force_equations, motion_windows
+from ..preparation.forces.force_equations import ForceEquations, force_equations
+from ..preparation.forces.motion_windows import motion_windows
 from ..recordings import comparison_window
 from .findings import Finding
 

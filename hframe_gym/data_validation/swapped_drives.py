@@ -17,7 +17,8 @@ from ..arrays import Array
 from ..identification import PreparedRecording
 from ..machine import Machine
 from ..preparation.forces.force_balance import EXPLAINED, SPANS, explains_instead
-from ..preparation.forces.motion_windows import MotionWindows, leading_motions, motion_windows
+from ..preparation.forces.force_equations import leading_motions
+from ..preparation.forces.motion_windows import MotionWindows, motion_windows
 from ..recordings import comparison_window
 from .findings import Finding
 from .run_signs import with_integrated_speeds

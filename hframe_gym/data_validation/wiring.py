@@ -19,7 +19,8 @@ from ..arrays import Array
 from ..identification import Dataset, PreparedRecording
 from ..machine import Machine
 from ..preparation.forces.force_balance import EXPLAINED, SPANS, Balance, explains_instead, force_balance
-from ..preparation.forces.motion_windows import leading_motions, motion_windows
+from ..preparation.forces.force_equations import leading_motions
+from ..preparation.forces.motion_windows import motion_windows
 from ..recordings import comparison_window
 from .findings import Finding
 

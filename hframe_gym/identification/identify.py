@@ -19,9 +19,11 @@ from ..line_log import LineLog
 from ..machine import Machine
 from ..operating_system import reused_memory
 from ..parallel import single_threaded_linear_algebra
-from ..preparation.dataset import Dataset, runs_that_should_move
+from ..preparation.dataset import Dataset
 from ..preparation.runs.excerpt import representative_part
-from ..preparation.runs.held_out import copied_runs, divide_runs, moving_runs, short_runs
+from ..preparation.runs.held_out import divide_runs
+from ..preparation.runs.left_out import copied_runs, short_runs
+from ..preparation.runs.moving import moving_runs, runs_that_should_move
 from ..preparation.session import Session, prepare_session
 from ..recordings import Recording, load_machine
 from ..registry import load_plugins

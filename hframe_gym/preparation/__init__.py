@@ -1,1 +1,1 @@
-"""Recordings prepared for a fit: gaps, initial states, sensors' zeros, noise, quantum, clock, range."""
+"""Recordings prepared for a fit: `session.py` tells the story, `usable.py` that of one run; folders are its parts."""

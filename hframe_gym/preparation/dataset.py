@@ -30,7 +30,6 @@ MIN_ROWS = 20  # rows of a run that the filters of the residual need
 # longer.
 _REGULAR = 0.95
 _SAME_STEP = 1e-6  # of a step, by which rounding may lengthen an interval; the integrator allows the same
-_STEADY_SPEED = 10.0  # times the noise or step of a sensor of speeds; an offset at standstill is smaller
 
 
 class VoltageErrors(Protocol):
@@ -399,72 +398,3 @@ class Dataset:
         """
         values = (run.outputs[:, sensor] for run in self.runs)
         return tuple(of_run[np.isfinite(of_run)] for of_run in values)
-
-
-def with_known_positions(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
-    """Copy a data set without the runs whose initial position no sensor determines.
-
-    Returns:
-        data: Copy without these runs. If no run would remain, all are kept.
-        warnings: One sentence that names the runs that were left out; empty if none was.
-    """
-    located = [run.name for run in data.runs if run.initial.position_known]
-    if not located or len(located) == len(data.runs):
-        return data, ()
-    lost = ", ".join(run.name for run in data.runs if run.name not in located)
-    return data.with_runs(located), (
-        f"Not used, because no sensor with a known zero measures the start: {lost}.",
-    )
-
-
-def turns_steadily(outputs: Array, noise: Array, quantum: Array, machine: Machine) -> bool:
-    """Return whether a speed sensor measures a nonzero speed in a run, even if it is constant.
-
-    Args:
-        outputs: Measurements of the run, in the channels' units, NaN where not measured, shape (n, sensors).
-        noise: Noise of the sensors, in the same units, shape (sensors,).
-        quantum: Quantization steps of the sensors, in the same units, shape (sensors,).
-    """
-    typical = np.array(
-        [np.median(values[np.isfinite(values)]) if np.isfinite(values).any() else 0.0 for values in outputs.T]
-    )
-    of_speed = np.array([sensor.quantity == "speed" for sensor in machine.sensors])
-    return bool(np.any(of_speed & (np.abs(typical) > _STEADY_SPEED * np.maximum(noise, quantum))))
-
-
-def runs_that_should_move(data: Dataset, machine: Machine, moving: Sequence[str]) -> dict[str, str]:
-    """Find runs in which the machine rests although such inputs move it in another run.
-
-    Their sensor was not read, their drive was off, or something was blocked. In a fit, they would be evidence
-    of dry friction that the other runs refute.
-
-    Args:
-        data: Prepared runs, with inputs in the drives' units, shape (n, drives).
-        moving: Names of the runs in which the machine moves.
-
-    Returns:
-        By name of each such run, the name of another run that starts from rest although none of its inputs is
-        larger (root mean square and peak). Empty for drives that follow a set point, which rest at any
-        constant position. A run at a constant measured speed counts as moving.
-    """
-
-    def sizes(run: PreparedRecording) -> Array:
-        return np.concatenate([np.sqrt(np.mean(run.inputs**2, axis=0)), np.abs(run.inputs).max(axis=0)])
-
-    if machine.drive_laws:
-        return {}
-    started = {
-        run.name: sizes(run)
-        for run in data.runs
-        if run.name in moving and run.inputs.any() and not run.initial.velocity.any()
-    }
-    found = {}
-    for run in data.runs:
-        weaker = [name for name, size in started.items() if np.all(size <= sizes(run))]
-        if (
-            weaker
-            and run.name not in moving
-            and not turns_steadily(run.outputs, data.noise, data.quantum, machine)
-        ):
-            found[run.name] = weaker[0]
-    return found

@@ -18,13 +18,13 @@ from .dataset import Dataset, PreparedRecording
 from .forces.drive_signs import turned_coordinates, with_turned
 from .inputs.clock_voltages import clock_voltages
 from .sensors.noise import independent_values, sensor_noise, sensor_quantum
-from .sensors.saturation import Range
+from .sensors.saturation import Range, without_saturated
 from .sensors.unmeasured_positions import without_unmeasured_positions
 from .session_zeros import common_encoder_zeros
 from .start.measured_state import estimate_initial_state
 from .start.modeled_state import measured_initial_state
 from .start.sensor_zeros import free_zeros, has_zero
-from .usable import from_first_measurement, usable_run, without_saturated, without_unknown_voltage
+from .usable import from_first_measurement, usable_run, without_unknown_voltage
 
 _TURNED = (
     "A positive command moves {} against the direction in which its sensors count: "

@@ -1,20 +1,18 @@
 """Remove unusable measurements from a recording, in the same way for `check`, `identify` and `simulate`.
 
 A recording is unwrapped first, and stamps that jitter around equal steps are replaced by these. Not usable
-are repetitions of the last measurement by a sensor that is slower than the log or silent, outliers, the
-measurements before the machine comes to rest, and those at the end of a sensor's range. Inputs that were
-measured with much noise are averaged.
+are repetitions of the last measurement by a sensor that is slower than the log or silent, outliers, and the
+measurements before the machine comes to rest. Inputs that were measured with much noise are averaged. Only
+all runs together show the ends of the sensors' ranges (`sensors/saturation.py`).
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Array, SensorNoise
 from ..line_log import LineLog
 from ..machine import Machine
 from ..recordings import (
@@ -29,8 +27,6 @@ from ..recordings import (
 from .clock.regular_clock import with_regular_clock
 from .dataset import MIN_ROWS
 from .inputs.measured_noise import without_input_noise
-from .sensors.noise import sensor_noise, sensor_quantum
-from .sensors.saturation import Range, blank_saturated, saturation_ranges
 from .start.rest import InitialRest, count_resting_rows, initial_rest, without_moving_start
 
 
@@ -134,46 +130,3 @@ def _log_repetitions(before: Recording, after: Recording, machine: Machine, log:
         if repeated := int(np.isfinite(values).sum() - np.isfinite(kept).sum()):
             rows = f"{channel} is measured every {repetitions(values):.3g} rows"
             log(f"{before.name}: {rows}; the {repeated} repeated values are not used")
-
-
-def rest_and_noise(recording: Recording, machine: Machine) -> tuple[int, Array, Array]:
-    """Estimate rows at rest, quantization steps and noise of the sensors from one run.
-
-    Args:
-        recording: Run without gaps.
-
-    Returns:
-        Number of rows at rest; quantization steps and noise of the sensors, in the sensors' units,
-        shape (sensors,) each.
-    """
-    rows = count_resting_rows(recording, machine)
-    channels = recording.outputs.T
-    quanta = np.array(
-        [sensor_quantum([c], s.resolution) for c, s in zip(channels, machine.sensors, strict=True)]
-    )
-    noise = np.array(
-        [
-            sensor_noise([c], [rows], q, s.noise)
-            for c, q, s in zip(channels, quanta, machine.sensors, strict=True)
-        ]
-    )
-    return rows, quanta, noise
-
-
-def without_saturated(
-    recordings: Sequence[Recording], machine: Machine, noise: SensorNoise
-) -> tuple[list[Recording], dict[str, Range]]:
-    """Remove measurements at the end of a sensor's range.
-
-    The machine's measuring ranges define where a sensor saturates; other sensors are examined
-    (`saturation_ranges`).
-
-    Args:
-        recordings: Runs of one rig.
-
-    Returns:
-        Copies of the runs, and the ranges found, m or rad, by channel.
-    """
-    found = saturation_ranges(recordings, machine, noise)
-    ends = found | machine.measuring_ranges
-    return [blank_saturated(r, ends, machine, noise) for r in recordings], found

@@ -14,7 +14,7 @@ from hframe_gym.data_validation.wiring import REMEDY
 from hframe_gym.dynamics import simulate
 from hframe_gym.identification import prepare
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, Sensor
-from hframe_gym.preparation.dataset import runs_that_should_move
+from hframe_gym.preparation.runs.moving import runs_that_should_move
 from hframe_gym.recordings import Recording
 from tests.data_validation.planted_mistakes import faults
 

@@ -12,11 +12,8 @@ from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import simulate_recording
 from hframe_gym.machine import Machine, Sensor
 from hframe_gym.preparation.start.belt_stretch import rigid_basis, stretch_angles
-from hframe_gym.preparation.start.measured_state import (
-    InitialVelocity,
-    estimate_initial_state,
-    initial_velocity,
-)
+from hframe_gym.preparation.start.initial_velocity import InitialVelocity, initial_velocity
+from hframe_gym.preparation.start.measured_state import estimate_initial_state
 from hframe_gym.recordings import Recording, load_machine
 
 NOISE = 20e-6  # m

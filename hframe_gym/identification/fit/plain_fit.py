@@ -36,12 +36,8 @@ from ...arrays import Array
 from ...effects import EFFECTS
 from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset, PreparedRecording
-from ...preparation.forces.motion_windows import (
-    MotionWindows,
-    force_equations,
-    leading_motions,
-    motion_windows,
-)
+from ...preparation.forces.force_equations import force_equations, leading_motions
+from ...preparation.forces.motion_windows import MotionWindows, motion_windows
 from ...preparation.runs.excerpt import NORMAL_SESSION, representative_part
 from ...recordings import bridge_blanks, comparison_window
 from ..budget import PLAIN_FIT_PART, Budget, goes_on

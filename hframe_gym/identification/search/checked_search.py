@@ -14,8 +14,9 @@ from typing import NamedTuple
 from ...arrays import Array
 from ...line_log import LineLog
 from ...machine import Machine
-from ...preparation.dataset import Dataset, with_known_positions
+from ...preparation.dataset import Dataset
 from ...preparation.runs.excerpt import LARGEST_FIT, NORMAL_SESSION, describe_part, representative_part
+from ...preparation.runs.left_out import with_known_positions
 from ..budget import LAST_STAGE_END, SECOND_SEARCH_PART, Budget, BudgetEndedError, stage_ends
 from ..evidence.effect_variables import describes_one_run
 from ..evidence.held_out import contradicting_held_out_runs, shown_effects, worsens_simulation

@@ -17,10 +17,12 @@ from ...dynamics import resolved_step, simulate, simulate_batch
 from ...machine import Machine, Trajectory
 from ...preparation.inputs.clock_voltages import clock_voltages, with_clock_voltages
 from ...preparation.inputs.interpolated_voltages import update_times, updated_inputs
+from ...preparation.sensors.saturation import without_saturated
 from ...preparation.session import prepare
 from ...preparation.start.encoder_zeros import EncoderZeros
 from ...preparation.start.measured_state import InitialState
 from ...preparation.start.modeled_state import measured_initial_state, model_initial_states
+from ...preparation.start.rest import rest_and_noise
 from ...preparation.start.sensor_zeros import (
     free_zeros,
     has_zero,
@@ -28,13 +30,7 @@ from ...preparation.start.sensor_zeros import (
     max_zero_means,
     sensor_zero_error,
 )
-from ...preparation.usable import (
-    from_first_measurement,
-    rest_and_noise,
-    usable_run,
-    without_saturated,
-    without_unknown_voltage,
-)
+from ...preparation.usable import from_first_measurement, usable_run, without_unknown_voltage
 from ...recordings import Recording, fill_gaps
 from ..fit.lost_voltages import estimate_lost_voltages
 from ..fit.start_estimation import most_probable_start

@@ -1,1 +1,1 @@
-"""When the rows were measured: the jitter of the clock, and equal steps in place of jittering stamps."""
+"""When the rows were measured: the jitter of the clock, and equal steps for stamps that jitter."""

@@ -1,1 +1,1 @@
-"""Forces that the measured motion requires, and the directions of the drives that follow from them."""
+"""The drives' forces against the measured motion, without a simulation: which way a drive turns."""

@@ -24,7 +24,8 @@ from scipy.optimize import nnls
 
 from ...arrays import Array
 from ...machine import Machine
-from .motion_windows import MotionWindows, force_equations, leading_motions
+from .force_equations import force_equations, leading_motions
+from .motion_windows import MotionWindows
 
 # Fraction of the squared force of the drives, or of the squared motion, below which a motion is explained. On
 # 33 recorded and simulated sets of right wiring, at most 0.05 is unexplained; with one wrong sign, 0.1 to 1.

@@ -1,1 +1,1 @@
-"""What the drives received: voltages between the rows of a slow log, and measured inputs without their noise."""
+"""What the drives received: voltages between the rows of a slow log, measured inputs without noise."""

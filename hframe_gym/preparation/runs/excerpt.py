@@ -20,7 +20,8 @@ from ..dataset import MIN_ROWS, Dataset, PreparedRecording
 from ..start.encoder_zeros import EncoderZeros
 from ..start.measured_state import estimate_initial_state
 from ..usable import without_unknown_voltage
-from .held_out import moving_runs, spectral_differences
+from .moving import moving_runs
+from .spectra import spectral_differences
 
 # Rows times coordinates of a normal session: eight runs of 5 s at 1 kHz of a machine with four coordinates.
 # Its complete search takes a quarter of a minute as a median, and one to three minutes if nothing explains

@@ -1,1 +1,1 @@
-"""What the sensors can tell: noise and quantization, ranges at whose ends they saturate, positions that none measures."""
+"""What the sensors can tell: noise, quantization, ranges, and positions that none of them measures."""

@@ -31,8 +31,7 @@ def saturation_ranges(
     A laser is a sensor with a fixed zero. It saturates at its largest (or smallest) measurement if two
     conditions hold: at least 1 % of all rows are within 8 standard deviations of the noise from this
     measurement, and by the encoders, the laser's coordinate moves in these rows by at least 300 standard
-    deviations of the laser's noise. Without belts or encoders,
-    nothing is found.
+    deviations of the laser's noise. Without belts or encoders, nothing is found.
 
     Args:
         recordings: All runs of the rig.
@@ -104,8 +103,8 @@ def blank_saturated(
     """Copy a recording, with NaN in place of saturated measurements.
 
     A measurement is saturated if it lies beyond an end of the sensor's range, or inside the range but closer
-    to an end than 4 standard deviations of the noise. Beside a saturated
-    row, 8 count instead of 4: of many saturated measurements, noise puts some further inside the range.
+    to an end than 4 standard deviations of the noise. Beside a saturated row, 8 count instead of 4: of many
+    saturated measurements, noise puts some further inside the range.
 
     Args:
         ranges: Lower and upper end of the measuring range by channel name, m or rad. Other channels are
@@ -144,3 +143,22 @@ def range_effects(
         # Ranges may be disjoint.
         effects.append(EFFECTS["sensor_range"].at(channel, low=low, high=max(low, high)))
     return tuple(effects)
+
+
+def without_saturated(
+    recordings: Sequence[Recording], machine: Machine, noise: SensorNoise
+) -> tuple[list[Recording], dict[str, Range]]:
+    """Remove measurements at the end of a sensor's range.
+
+    The machine's measuring ranges define where a sensor saturates; other sensors are examined
+    (`saturation_ranges`).
+
+    Args:
+        recordings: Runs of one rig.
+
+    Returns:
+        Copies of the runs, and the ranges found, m or rad, by channel.
+    """
+    found = saturation_ranges(recordings, machine, noise)
+    ends = found | machine.measuring_ranges
+    return [blank_saturated(r, ends, machine, noise) for r in recordings], found

@@ -1,6 +1,6 @@
 """The initial state of a run for a given machine.
 
-`rest_measurement` estimates the position from the measurements alone. With the effects of a machine
+`measured_state` estimates the position from the measurements alone. With the effects of a machine
 (deviations from the nominal model, such as cables and tilt) the estimate is better: effects on measurements
 are inverted, and pulleys are in static equilibrium with the forces that act at rest. This also corrects the
 zeros of the encoders.

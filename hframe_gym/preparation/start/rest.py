@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ...arrays import Array
 from ...machine import Machine, Sensor
 from ...recordings import Recording, peak_to_peak
-from ..sensors.noise import difference_noise, sensor_quantum
+from ..sensors.noise import difference_noise, sensor_noise, sensor_quantum
 
 _MIN_ROWS = 16  # Fewer rows are not divided into blocks, and do not show rest after motion.
 # Medians of blocks of rows are compared: a median of 10 ms has little noise, and eight of them show a trend.
@@ -256,3 +256,27 @@ def _lead(time_s: Array, outputs: Array, resting_rows: int, tolerance: Array) ->
     middle = _medians(outputs[:resting_rows])
     departed = (np.abs(outputs - middle) > tolerance / 2).any(axis=1)
     return float(time_s[-1] - time_s[np.flatnonzero(~departed)[-1]])
+
+
+def rest_and_noise(recording: Recording, machine: Machine) -> tuple[int, Array, Array]:
+    """Estimate rows at rest, quantization steps and noise of the sensors from one run.
+
+    Args:
+        recording: Run without gaps.
+
+    Returns:
+        Number of rows at rest; quantization steps and noise of the sensors, in the sensors' units,
+        shape (sensors,) each.
+    """
+    rows = count_resting_rows(recording, machine)
+    channels = recording.outputs.T
+    quanta = np.array(
+        [sensor_quantum([c], s.resolution) for c, s in zip(channels, machine.sensors, strict=True)]
+    )
+    noise = np.array(
+        [
+            sensor_noise([c], [rows], q, s.noise)
+            for c, q, s in zip(channels, quanta, machine.sensors, strict=True)
+        ]
+    )
+    return rows, quanta, noise

@@ -17,7 +17,8 @@ from hframe_gym.identification.fit.estimation import prediction_cost
 from hframe_gym.identification.forces.inverse_dynamics import force_error
 from hframe_gym.identification.predict.prediction import POLISH_STEP
 from hframe_gym.preparation.runs.accelerations import acceleration_fractions
-from hframe_gym.preparation.runs.held_out import copied_runs, spectral_differences
+from hframe_gym.preparation.runs.left_out import copied_runs
+from hframe_gym.preparation.runs.spectra import spectral_differences
 from hframe_gym.recordings import Recording
 from tests.identification.scripted_fits import AXIS, DRAG, FRAME, PUSH, selected
 from tests.identification.single_axis import axis_runs

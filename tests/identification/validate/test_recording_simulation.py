@@ -25,9 +25,9 @@ from hframe_gym.identification.validate.machine_errors import (
     with_encoder_zeros,
 )
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, rest_state
-from hframe_gym.preparation.dataset import with_known_positions
+from hframe_gym.preparation.runs.left_out import with_known_positions
 from hframe_gym.preparation.session import prepare_session
-from hframe_gym.preparation.usable import rest_and_noise
+from hframe_gym.preparation.start.rest import rest_and_noise
 from hframe_gym.recordings import Recording, fill_gaps, load_machine, save_machine
 
 RADIUS = 0.0194
