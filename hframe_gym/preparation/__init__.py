@@ -1,1 +1,1 @@
-"""Recordings prepared for a fit: `session.py` tells the story, `usable.py` that of one run; folders are its parts."""
+"""Recordings prepared for a fit: `session.py` tells the story, `usable.py` that of one run."""

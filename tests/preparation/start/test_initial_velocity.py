@@ -150,7 +150,7 @@ def test_all_drives_of_a_pulley_stretch_its_belts(hframe: Machine) -> None:
 
 def test_pulleys_that_no_carriage_holds_stretch_their_belt() -> None:
     """Two motors turn a pulley by a belt, and no carriage is on it."""
-    machine = load_machine(Path(__file__).parents[2] / "benchmarks" / "machines" / "ced.json")
+    machine = load_machine(Path(__file__).parents[3] / "benchmarks" / "machines" / "ced.json")
     machine = machine.with_components(Sensor("pulley_rad", {"pulley": 1.0}, kind="encoder"))
     angles = stretch_angles(machine, moving=True)
     assert list(angles) == ["pulley"]

@@ -28,7 +28,7 @@ from tests import reference_simulator as reference
 
 pytestmark = pytest.mark.oracle
 RADIUS = 0.0194
-REPOSITORY = Path(__file__).resolve().parents[2]
+REPOSITORY = Path(__file__).resolve().parents[3]
 QUANTUM = 5.2e-4  # rad
 POSITIONS = np.random.default_rng(8).uniform(-0.1, 0.1, (7, 2)) * [1.0, 0.5]
 
