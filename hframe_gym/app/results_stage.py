@@ -8,7 +8,7 @@ from typing_extensions import override
 from ..identification.report.instructions import next_command
 from ..identification.report.remainder import tone_of_remainder
 from ..identification.report.saved_result import read_report
-from ..identification.report.verdict_words import verdict_sentence
+from ..identification.report.verdict_words import verdict_in_words
 from ..recordings import load_machine
 from .session import MACHINE, RESULT
 from .stage import Stage, State, banner, heading
@@ -49,7 +49,7 @@ class ResultsStage(Stage):
         corrected = load_machine(self.session.path(RESULT, MACHINE))
         page = self.session.path(RESULT, "report.html")
         if not page.exists():
-            banner(tone_of_remainder(report), _TITLES[report.verdict], verdict_sentence(report))
+            banner(tone_of_remainder(report), _TITLES[report.verdict], verdict_in_words(report))
         with ui.element("div").classes("hf-row"):
             command = next_command(report.verdict, corrected, self.session.path(RESULT))
             if command.startswith("hframe evaluate"):

@@ -121,7 +121,7 @@ def _identify_rig(
 
     The budget counts the processor time since the command began, s.
     """
-    from ..identification.report.verdict_words import verdict_sentence
+    from ..identification.report.verdict_words import verdict_in_words
     from .tables.identification import effect_lines, identification_table
 
     with search_progress(log) as progress:
@@ -130,7 +130,7 @@ def _identify_rig(
         )
     report, page_error = _write_rig(result, findings, runs_dir, out, out, log)
     console.print(identification_table(report))
-    log(f"Result: {verdict_sentence(report)}")
+    log(f"Result: {verdict_in_words(report)}")
     for line in effect_lines(report):
         log(f"  {line}")
     _log_notes(result, findings)
@@ -279,7 +279,7 @@ def _identify_rigs(check_and_identify: _Identification, rigs: list[_Rig], jobs: 
 
 def _identify_in_worker(check_and_identify: _Identification, show_lines: bool, rig: _Rig) -> _IdentifiedRig:
     """Identify a rig in a temporary folder; print what it does line by line, or nothing beside a bar."""
-    from ..identification.report.verdict_words import verdict_sentence
+    from ..identification.report.verdict_words import verdict_in_words
 
     def log(line: str) -> None:
         if show_lines:
@@ -295,7 +295,7 @@ def _identify_in_worker(check_and_identify: _Identification, show_lines: bool, r
         )
         if page_error is not None and not isinstance(page_error, ImportError):
             return _IdentifiedRig(describe_failure(page_error)[1], files, INTERNAL_ERROR)
-        verdict = verdict_sentence(report)
+        verdict = verdict_in_words(report)
         return _IdentifiedRig(
             verdict if page_error is None else f"{verdict} No report.html: {page_error}", files
         )

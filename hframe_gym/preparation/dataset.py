@@ -143,16 +143,6 @@ class PreparedRecording:
         """Return a copy with only the first `count` rows of the run, or all if it has fewer."""
         return self.rows(slice(count))
 
-    def last_rows(self, count: int) -> PreparedRecording:
-        """Return a copy with only the last rows of the run.
-
-        The initial state stays that of the complete run.
-
-        Args:
-            count: Number of rows to keep, from 1 to the number of rows of the run.
-        """
-        return self.rows(slice(len(self.time_s) - count, None))
-
     def rows(self, chosen: slice) -> PreparedRecording:
         """Return a copy with only some rows of the run; the initial state stays that of the complete run."""
         series = ("time_s", "inputs", "outputs", "noise", "weights", "dropped")

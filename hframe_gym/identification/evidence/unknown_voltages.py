@@ -91,9 +91,8 @@ def cost_beside_voltages(fitted: Fit, data: Dataset) -> float:
     if len(parts) < len(data.runs):
         return math.nan
     total = NormalEquations.total(part.equations for part in parts)
-    missed, errors = (
-        np.sum([getattr(part, name) for part in parts], axis=0) for name in ("missed", "errors")
-    )
+    missed = np.sum([part.missed for part in parts], axis=0)
+    errors = np.sum([part.errors for part in parts], axis=0)
     prior = prior_precision(fitted.free)
     total = dataclasses.replace(
         total,

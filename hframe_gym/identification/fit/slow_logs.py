@@ -239,7 +239,8 @@ class _Models(NamedTuple):
 
     def linearize(self, theta: Array, directions: Array) -> list[_Linear]:
         """Return each run's linearized residual, and its instruments, by differences along directions."""
-        measured, smooth = (_differences(model, theta, directions) for model in self)
+        measured = _differences(self.measured, theta, directions)
+        smooth = _differences(self.smooth, theta, directions)
         return [
             _Linear(residual, jacobian, instruments)
             for (residual, jacobian), (_, instruments) in zip(measured, smooth, strict=True)

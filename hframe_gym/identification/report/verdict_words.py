@@ -1,4 +1,4 @@
-"""The verdict in a sentence, for the command, the window and the page."""
+"""The verdict in words, for the command, the window and the page."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _BY_INSTRUMENTS = (
 )
 
 
-def verdict_sentence(report: Report) -> str:
+def verdict_in_words(report: Report) -> str:
     """Describe the verdict and the error on the held-out runs in a few sentences.
 
     Sentences on voltages that the log lacks and on undeclared friction come first, where there are any. The
@@ -36,7 +36,7 @@ def verdict_sentence(report: Report) -> str:
     the simulation drifts, the relative error of the drives' force is stated instead, if the report contains
     it.
     """
-    return " ".join([*unknown_voltages(report), *undeclared_friction(report), _verdict_sentence(report)])
+    return " ".join([*unknown_voltages(report), *undeclared_friction(report), _verdict_and_error(report)])
 
 
 def undeclared_friction(report: Report) -> list[str]:
@@ -122,7 +122,7 @@ def _hidden_delay(report: Report, unknown: UnknownVoltages) -> list[str]:
     ]
 
 
-def _verdict_sentence(report: Report) -> str:
+def _verdict_and_error(report: Report) -> str:
     """Describe the verdict and the error on the held-out runs."""
     errors: dict[str, float | None]
     if drifts(report):

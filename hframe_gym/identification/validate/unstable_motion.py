@@ -51,7 +51,7 @@ def enlargement(machine: Machine, data: Dataset, bandwidth: float) -> float:
         for first in np.linspace(0, rows, _MOMENTS, endpoint=False, dtype=int):
             simulated = predict(
                 machine,
-                run.last_rows(rows - first),
+                run.rows(slice(first, None)),
                 SIMULATION,
                 period=data.period,
                 initial_state=np.vstack([states[first], states[first] + displacements]),

@@ -269,16 +269,17 @@ class _Importer:
             self._log("  left out: the file is empty")
             return
         logs = open_joined(path, self._settings.join)
-        for log in logs:
-            yield from self._runs_of(log, log_size(path) / len(logs))
+        ends = np.linspace(0, log_size(path), len(logs) + 1, dtype=int)
+        for log, size in zip(logs, np.diff(ends).tolist(), strict=True):
+            yield from self._runs_of(log, size)
 
-    def _runs_of(self, log: Log, size: float) -> list[Recording]:
+    def _runs_of(self, log: Log, size: int) -> list[Recording]:
         """Convert a log, which takes a size in bytes of its file, and return its runs."""
         self._refuse_other_order(log)
         sources = map_columns(log, self._machine, self._settings.mapping)
         self._log_mapping(log, sources)
         try:
-            recordings, remarks = self._converter.convert(log, sources, self._progress)
+            recordings, remarks = self._converted(log, sources, size)
         except EmptyLogError:
             if not self._one_of_many:
                 raise
@@ -288,6 +289,22 @@ class _Importer:
         for remark in remarks:
             self._log(f"  {remark}")
         return [run for recording in recordings for run in self._cut(recording)]
+
+    def _converted(
+        self, log: Log, sources: Sequence[ChannelSource], size: int
+    ) -> tuple[list[Recording], list[str]]:
+        """Convert a log, and report its size as read, although readers of a part may read the whole file."""
+        left = size
+
+        def count(read: int) -> None:
+            nonlocal left
+            read = min(read, left)
+            left -= read
+            self._progress(read)
+
+        converted = self._converter.convert(log, sources, count)
+        count(size)
+        return converted
 
     def _refuse_other_order(self, log: Log) -> None:
         """Refuse a log in which a user's number is another column than in the logs before, by its name."""

@@ -56,7 +56,7 @@ from hframe_gym.identification.predict.voltage_errors import (
     with_voltage_errors,
 )
 from hframe_gym.identification.report.remainder import reason_of_remainder
-from hframe_gym.identification.report.verdict_words import verdict_sentence
+from hframe_gym.identification.report.verdict_words import verdict_in_words
 from hframe_gym.identification.validate.evaluation import _quiet
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.preparation.inputs.clock_voltages import ClockVoltages, updated_inputs_of_clock
@@ -352,4 +352,4 @@ def test_unknown_voltages_explain_the_error_of_an_exact_machine() -> None:
     assert result.left is not None
     assert result.left > 2.0  # times the noise
     assert "the unknown voltages between the rows may cause" in reason_of_remainder(result.as_report())
-    assert "even the exact machine is therefore expected to err by" in verdict_sentence(result.as_report())
+    assert "even the exact machine is therefore expected to err by" in verdict_in_words(result.as_report())

@@ -20,7 +20,7 @@ from hframe_gym.identification.report.remainder import (
     tone_of_remainder,
 )
 from hframe_gym.identification.report.result import Verdict
-from hframe_gym.identification.report.verdict_words import verdict_sentence
+from hframe_gym.identification.report.verdict_words import verdict_in_words
 from hframe_gym.machine import BUILTIN_MACHINES, Sensor
 from tests.identification.report.axis_results import effect_entry, report_with, result_of
 from tests.identification.single_axis import AXIS, axis_result, axis_runs
@@ -31,7 +31,7 @@ def test_a_multiple_of_the_noise_over_all_channels_is_not_stated_as_that_of_one(
 
     def sentence(channels: tuple[str, ...]) -> str:
         held_out = {c: errors[c] for c in channels}
-        return verdict_sentence(report_with(held_out, verdict="no_effect", left=1.0))
+        return verdict_in_words(report_with(held_out, verdict="no_effect", left=1.0))
 
     both, one = sentence(("x_m", "y_m")), sentence(("x_m",))
     assert "is 1 times the sensors' noise (at most 20 µm rms at x_m). Left" in both
@@ -51,14 +51,14 @@ def test_a_channel_at_its_noise_does_not_stand_for_what_is_left() -> None:
     expected = (
         "Left on the held-out runs: 0.09 % of the motion of the channel above its noise where that is most."
     )
-    assert verdict_sentence(report).endswith(expected)
+    assert verdict_in_words(report).endswith(expected)
 
 
 def test_the_error_of_the_sentence_is_the_root_mean_square_over_the_channels() -> None:
     errors = {
         c: {"rmse": 1e-3, "noise_ratio": ratio} for c, ratio in (("x_m", 7.0), ("y_m", 1.0), ("z_m", None))
     }
-    sentence = verdict_sentence(report_with(errors, verdict="no_effect", left=5.0))
+    sentence = verdict_in_words(report_with(errors, verdict="no_effect", left=5.0))
     assert "error of the declared model on the held-out runs is 5 times the sensors' noise" in sentence
     assert "An error of at most 1 mm rms at x_m is left" in sentence
 
@@ -118,8 +118,8 @@ def test_the_verdict_begins_with_friction_that_the_file_does_not_declare(data: D
     (friction,) = report.undeclared_friction
     assert (friction.parameter, friction.value) == ("x.coulomb", AXIS.parameters["x.coulomb"])
     start = f"The machine has friction that its file does not declare: x.coulomb is {friction.value:g}"
-    assert verdict_sentence(report).startswith(start)
-    assert "friction" not in verdict_sentence(result_of(data, "unexplained", AXIS).as_report())
+    assert verdict_in_words(report).startswith(start)
+    assert "friction" not in verdict_in_words(result_of(data, "unexplained", AXIS).as_report())
 
 
 def test_several_effects_are_separated_by_commas() -> None:
@@ -130,7 +130,7 @@ def test_several_effects_are_separated_by_commas() -> None:
         effects=[effect_entry("cogging", "motor1"), effect_entry("belt_play", "belts")],
         after={"held_out": {"x_m": {"rmse": 2e-5, "noise_ratio": 1.0}}},
     )
-    assert verdict_sentence(report) == (
+    assert verdict_in_words(report) == (
         "The machine has 2 effects that its model lacks: cogging at motor1, belt play at belts. "
         "With them, the error on the held-out runs falls from 50 to 1 times the sensors' noise "
         "(20 µm rms at x_m)."
@@ -174,7 +174,7 @@ def test_what_a_table_leaves_is_compared_with_the_formula(held_out: dict[str, fl
         left=5.0,
         proposed_formulas=[table],
     )
-    sentence = verdict_sentence(report)
+    sentence = verdict_in_words(report)
     assert sentence.endswith(f" An error of 20 µm rms at x_m is left{last}")
 
 
@@ -184,7 +184,7 @@ def test_a_refit_that_worsens_the_simulation_is_compared_with_the_declared_machi
         stage: {"held_out": {"x_m": {"rmse": 1e-3, "noise_ratio": ratio}}} for stage, ratio in ratios.items()
     }
     report = report_with(verdict="effect_found", effects=[effect_entry("cogging", "motor")], **stages)
-    assert "falls from 40 (with the declared parameters: 20) to 10 times" in verdict_sentence(report)
+    assert "falls from 40 (with the declared parameters: 20) to 10 times" in verdict_in_words(report)
 
 
 @pytest.mark.parametrize(
@@ -194,7 +194,7 @@ def test_the_force_is_stated_only_if_the_simulation_drifts(percent: float, unit:
     """Real recordings have errors far beyond the noise of an encoder, but small ones of the motion."""
     channel = {"x_m": {"rmse": 1e-3, "noise_ratio": 600.0, "percent_of_motion": percent}}
     errors = {**channel, "force_error": 2.0}
-    sentence = verdict_sentence(
+    sentence = verdict_in_words(
         report_with(errors, left=600.0, plain={"held_out": errors, "delivered": True})
     )
     size = "" if "force" in unit else " (1 mm rms at x_m)"
@@ -207,7 +207,7 @@ def test_the_error_of_a_machine_that_describes_without_a_name_is_stated(left: fl
     before, after = (
         {"held_out": {"x_m": {"rmse": 1e-5 * ratio, "noise_ratio": ratio}}} for ratio in (165.0, left)
     )
-    sentence = verdict_sentence(report_with(before=before, after=after, left=left))
+    sentence = verdict_in_words(report_with(before=before, after=after, left=left))
     assert "The error of the refitted model on the held-out runs is 165 times" in sentence
     delivered = "leaves 15 times the sensors' noise (150 µm rms at x_m), but names no cause."
     assert (delivered in sentence) == stated
@@ -238,7 +238,7 @@ def test_what_is_left_is_stated_also_if_errors_are_those_of_the_force(verdict: s
         left=900.0,
         residual={"depends_on": depends_on, "white": False},
     )
-    sentence = verdict_sentence(report)
+    sentence = verdict_in_words(report)
     assert "6 % of the drives' force" in sentence
     assert ("lacks on y depends most on velocity of y, which explains 26 %" in sentence) == (
         verdict == "unexplained"
@@ -262,7 +262,7 @@ def test_an_error_of_a_run_that_contradicts_the_others_has_a_known_cause(
         contradicting=runs,
         left_in_others=others,
     )
-    sentence = verdict_sentence(report)
+    sentence = verdict_in_words(report)
     subject = "run_4 contradicts" if len(runs) == 1 else "run_4 and run_8 contradict"
     assert sentence.startswith("No effect was found")
     assert sentence.endswith(
@@ -278,7 +278,7 @@ def test_errors_of_force_are_given_for_all_machines_or_for_none() -> None:
     assert result.after.held_out.force is None
     report = result.as_report()
     assert all(evaluation.force_error is None for evaluation in report.machines.values())
-    assert "the error on the held-out runs rises from" in verdict_sentence(report)
+    assert "the error on the held-out runs rises from" in verdict_in_words(report)
     assert identification_table(report).row_count == 1
 
 
@@ -346,7 +346,7 @@ def test_a_slow_log_is_named_first() -> None:
     }
 
     def sentence_about(unknown: dict[str, Any] | None) -> str:
-        return verdict_sentence(report_with(errors, unknown_voltages=unknown))
+        return verdict_in_words(report_with(errors, unknown_voltages=unknown))
 
     sentence = sentence_about(unknown)
     assert sentence.startswith(
@@ -381,7 +381,7 @@ def test_a_slow_log_tells_which_effects_it_may_hide() -> None:
 
     def sentence_about(**fields: Any) -> str:
         report = report_with({"x_m": {"rmse": 1e-3, "noise_ratio": 50.0}}, verdict="no_effect", **fields)
-        return verdict_sentence(report)
+        return verdict_in_words(report)
 
     considered = [useless, yaw | gains[1], damping | gains[0]]
     slow = {"unknown_voltages": known | {"changes_per_row": 5}, "considered": considered}
@@ -393,7 +393,7 @@ def test_a_slow_log_tells_which_effects_it_may_hide() -> None:
         "1 mm rms at x_m."
     )
     found = report_with({}, verdict="effect_found", left=27.0, effects=[effect_entry("cogging", "x")], **slow)
-    assert "The log may hide further effects in this error, also one" in verdict_sentence(found)
+    assert "The log may hide further effects in this error, also one" in verdict_in_words(found)
     assert "hide" not in sentence_about(left=1.0, **slow)
     assert "hide" not in sentence_about(left=27.0, considered=considered)
 
@@ -410,5 +410,5 @@ def test_a_slow_log_tells_which_delay_of_the_drives_passes_for_fewer_changes(
         "fitted_by": "instruments",
     }
     found = [effect_entry(effect, "drives")]
-    sentence = verdict_sentence(report_with(verdict="effect_found", effects=found, unknown_voltages=unknown))
+    sentence = verdict_in_words(report_with(verdict="effect_found", effects=found, unknown_voltages=unknown))
     assert ("A delay or lag of the drives of up to 0.67 ms may be missed" in sentence) == hidden

@@ -23,7 +23,7 @@ from hframe_gym.identification.report.page import build_report
 from hframe_gym.identification.report.result import Unfinished, Verdict
 from hframe_gym.identification.report.rows import parameter_rows
 from hframe_gym.identification.report.saved_result import read_report
-from hframe_gym.identification.report.verdict_words import verdict_sentence
+from hframe_gym.identification.report.verdict_words import verdict_in_words
 from hframe_gym.identification.validate.machine_errors import PredictionErrors
 from hframe_gym.identification.validate.simpler_machines import PlainResult
 from hframe_gym.machine import BUILTIN_MACHINES, Uncertainty
@@ -245,7 +245,7 @@ def test_a_machine_that_diverges_has_no_error_but_a_cause(data: Dataset, tmp_pat
     assert "nan" not in page.replace("finance", "").lower().split("<body", 1)[1].split("<svg", 1)[0]
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["declared"]["held_out"]["x_m"] == {"rmse": None, "noise_ratio": None}
-    sentence = verdict_sentence(read_report(tmp_path))
+    sentence = verdict_in_words(read_report(tmp_path))
     assert "infinitely many (its simulation diverges) times the sensors' noise" in sentence
     assert np.isnan(dataclasses.replace(result_of(data, "effect_found", STRIBECK), before=diverged).explained)
 

@@ -215,11 +215,23 @@ def test_each_test_that_a_column_of_a_table_marks_becomes_a_run(
     (tmp_path / "log.csv").write_text("\n".join([header, *rows]) + "\n")
     columns = dict.fromkeys(axis.output_channels, "none")
     columns |= {axis.input_channels[0]: "voltage", axis.output_channels[0]: "position"}
-    files = import_logs(tmp_path / "log.csv", tmp_path / "runs", axis, settings(**columns), print)
+    progress: list[tuple[int, int]] = []
+    files = import_logs(
+        tmp_path / "log.csv",
+        tmp_path / "runs",
+        axis,
+        settings(**columns),
+        print,
+        lambda done, total: progress.append((done, total)),
+    )
     names = ["quasistatic-forward_1", "dynamic-reverse", "quasistatic-forward_2"]
     assert [file.name for file in files] == [f"log_{name}.csv.gz" for name in names]
     runs = {run.name: run for run in load_recordings(tmp_path / "runs", axis)}
     np.testing.assert_allclose(runs["log_dynamic-reverse"].inputs[:, 0], 0.1 * np.arange(37, 62))
+    # Each test reads the whole file, which counts once for reading and once for writing, less what rounds.
+    (total,) = {of_all for _, of_all in progress}
+    assert total == 2 * (tmp_path / "log.csv").stat().st_size
+    assert max(done for done, _ in progress) == pytest.approx(total, abs=len(names))
 
 
 def test_a_column_of_other_texts_marks_no_tests(tmp_path: Path, axis: Machine) -> None:
