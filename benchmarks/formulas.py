@@ -24,7 +24,7 @@ import numpy as np
 from benchmarks.results_file import write_results
 from hframe_gym.files import write_text
 from hframe_gym.identification import SelectionCriteria, identify, write_result
-from hframe_gym.identification.report.formulas import TableComparison, compare_formulas
+from hframe_gym.identification.report.content.formulas import TableComparison, compare_formulas
 from tests.reference_simulator import COORDINATES
 from tests.rigs.cases import Case
 from tests.rigs.hidden_effects import Build, HiddenEffect, change_site

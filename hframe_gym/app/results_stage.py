@@ -5,10 +5,10 @@ from __future__ import annotations
 from nicegui import ui
 from typing_extensions import override
 
-from ..identification.report.instructions import next_command
-from ..identification.report.remainder import tone_of_remainder
-from ..identification.report.saved_result import read_report
-from ..identification.report.verdict_words import verdict_in_words
+from ..identification.report.content.saved_result import read_report
+from ..identification.report.words.instructions import next_command
+from ..identification.report.words.remainder import tone_of_remainder
+from ..identification.report.words.verdict import verdict_in_words
 from ..recordings import load_machine
 from .session import MACHINE, RESULT
 from .stage import Stage, State, banner, heading

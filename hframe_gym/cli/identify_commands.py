@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from ..data_validation import Finding
     from ..identification import IdentificationResult
     from ..identification.budget import Progress
-    from ..identification.report.document import Report
+    from ..identification.report.content.document import Report
     from ..machine import Machine
     from ..recordings import Recording
 
@@ -85,7 +85,7 @@ def identify(
     Example:  hframe identify examples/rig_a --out out/rig_a
     """
     began = time.process_time()
-    from ..identification.report.instructions import next_command
+    from ..identification.report.words.instructions import next_command
     from ..recordings import load_machine
 
     if out.resolve() == runs_dir.resolve():
@@ -121,7 +121,7 @@ def _identify_rig(
 
     The budget counts the processor time since the command began, s.
     """
-    from ..identification.report.verdict_words import verdict_in_words
+    from ..identification.report.words.verdict import verdict_in_words
     from .tables.identification import effect_lines, identification_table
 
     with search_progress(log) as progress:
@@ -279,7 +279,7 @@ def _identify_rigs(check_and_identify: _Identification, rigs: list[_Rig], jobs: 
 
 def _identify_in_worker(check_and_identify: _Identification, show_lines: bool, rig: _Rig) -> _IdentifiedRig:
     """Identify a rig in a temporary folder; print what it does line by line, or nothing beside a bar."""
-    from ..identification.report.verdict_words import verdict_in_words
+    from ..identification.report.words.verdict import verdict_in_words
 
     def log(line: str) -> None:
         if show_lines:

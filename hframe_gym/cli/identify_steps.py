@@ -12,7 +12,7 @@ from ..line_log import LineLog
 if TYPE_CHECKING:
     from ..data_validation import Finding
     from ..identification import IdentificationResult
-    from ..identification.report.formulas import TableComparison
+    from ..identification.report.content.formulas import TableComparison
     from ..machine import Machine
     from ..recordings import Recording
 
@@ -87,7 +87,7 @@ def proposed_formulas(result: IdentificationResult, log: LineLog) -> tuple[Table
     Returns:
         Proposed formulas of each table; none without tables, or without scikit-learn.
     """
-    from ..identification.report.formulas import compare_formulas
+    from ..identification.report.content.formulas import compare_formulas
 
     try:
         return compare_formulas(result, log)

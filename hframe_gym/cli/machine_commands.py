@@ -224,7 +224,7 @@ def new_effect(
     Example:  hframe effects new rail_catch --from out/rig
     """
     from ..effects.formulas import write_effect_file
-    from ..identification.report.saved_result import formulas_of_folder
+    from ..identification.report.content.saved_result import formulas_of_folder
 
     proposed = formulas_of_folder(folder, name, table)
     for number, p in enumerate(proposed, start=1):

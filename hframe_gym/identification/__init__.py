@@ -11,8 +11,8 @@ from .judge.criteria import SelectionCriteria
 from .predict.free_parameters import FreeParameter, default_free_parameters
 from .propose.candidates import STRATEGIES, Candidate, SearchState
 from .propose.screening import screen
-from .report.result import IdentificationResult
-from .report.written_result import write_result
+from .report.content.result import IdentificationResult
+from .report.content.written_result import write_result
 from .search.forward_selection import EffectSearch
 from .validate.recording_simulation import SimulatedRecording, simulate_recording
 

@@ -30,8 +30,8 @@ from ..registry import load_plugins
 from .budget import COMPARISON_PART, DEFAULT_SECONDS, LAST_STAGE_END, Budget, BudgetEndedError
 from .fit.run_differences import RunDifferencesInWords, describe_run_differences
 from .judge.criteria import SelectionCriteria
-from .report.assembly import build_result
-from .report.result import IdentificationResult
+from .report.content.assembly import build_result
+from .report.content.result import IdentificationResult
 from .search.checked_search import find_effects
 from .validate.evaluation import HeldOutTests, describe_unstable_motion, judged, with_certain_effects
 from .validate.simpler_machines import no_worse, reserve_time_after_search

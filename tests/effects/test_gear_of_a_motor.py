@@ -19,9 +19,9 @@ from hframe_gym.identification import fit, identify, prepare, write_result
 from hframe_gym.identification.predict.prediction import POLISH_STEP, SIMULATION
 from hframe_gym.identification.propose.candidates import effect_parameters
 from hframe_gym.identification.propose.typical_scales import scales_of_motion
-from hframe_gym.identification.report.instructions import next_steps
-from hframe_gym.identification.report.rows import effect_rows
-from hframe_gym.identification.report.saved_result import load_result
+from hframe_gym.identification.report.content.saved_result import load_result
+from hframe_gym.identification.report.words.instructions import next_steps
+from hframe_gym.identification.report.words.rows import effect_rows
 from hframe_gym.machine import BUILTIN_MACHINES, Coordinate, Drive, Machine, Sensor
 from hframe_gym.recordings import Recording
 from tests.reference_simulator.axis import Axis, Gap, Record, held_levels, record

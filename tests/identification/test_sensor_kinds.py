@@ -13,7 +13,7 @@ from hframe_gym.dynamics import linearize, simulate
 from hframe_gym.envs import DeclaredSensors
 from hframe_gym.envs.observation.spaces import sensor_signals
 from hframe_gym.identification import default_free_parameters, fit, identify, prepare
-from hframe_gym.identification.report.plots import readable_unit
+from hframe_gym.identification.report.plots.panels import readable_unit
 from hframe_gym.machine import SENSOR_KINDS, Coordinate, Drive, Machine, Sensor, SensorKind
 from hframe_gym.recordings import Recording, load_recording, machine_to_dict, save_machine, write_recording
 from tests.identification.control_of_kinds import action_of_a_trained_agent, largest_error_of_pid

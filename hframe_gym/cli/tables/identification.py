@@ -13,7 +13,7 @@ from ...machine import written_unit
 from ...web_page import number
 
 if TYPE_CHECKING:
-    from ...identification.report.document import ChannelErrors, ParameterValue, Report
+    from ...identification.report.content.document import ChannelErrors, ParameterValue, Report
 
 _MACHINE_COLUMNS = {
     "declared": "declared",
@@ -34,7 +34,7 @@ def identification_table(report: Report) -> Table:
         row has the root mean square error of the drives' force divided by the root mean square of this force,
         %. Below the table: the force that the machines lack.
     """
-    from ...identification.report.remainder import missing_forces
+    from ...identification.report.words.remainder import missing_forces
 
     title = "simulation error on held-out recordings: rms, x: multiple of the sensor noise, % of the motion"
     machines = report.machines

@@ -10,17 +10,17 @@ import numpy as np
 from ...errors import InputError
 from ...files import output_batch
 from ...web_page import number, write_page
-from .answers import answers
-from .correlations import error_correlations
-from .curves import page_curves, worst_first
-from .document import ChannelErrors, Report, compared_machines
-from .instructions import next_steps
-from .plots import report_panels, save_plots, slow_fractions
-from .remainder import drifts, largest_position_error, tone_of_remainder
-from .result_curves import ResultCurves
-from .rows import correlation_rows, effect_rows, inseparable_rows, parameter_rows
-from .saved_result import load_result
+from .content.document import ChannelErrors, Report, compared_machines
+from .content.result_curves import ResultCurves
+from .content.saved_result import load_result
+from .plots.correlations import error_correlations
+from .plots.held_out_curves import page_curves, worst_first
+from .plots.panels import report_panels, save_plots, slow_fractions
 from .units import percent, readable_unit
+from .words.answers import answers
+from .words.instructions import next_steps
+from .words.remainder import drifts, largest_position_error, tone_of_remainder
+from .words.rows import correlation_rows, effect_rows, inseparable_rows, parameter_rows
 
 _HEADINGS = {
     "effect_found": "Missing effects found",

@@ -19,7 +19,7 @@ from hframe_gym.identification.forces.motion_variables import dependence_variabl
 from hframe_gym.identification.propose.causes import _curve
 from hframe_gym.identification.propose.dependences import rank_dependences
 from hframe_gym.identification.propose.periodogram import periodogram_peaks
-from hframe_gym.identification.report.plots import _with_unit
+from hframe_gym.identification.report.plots.panels import _with_unit
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine
 from hframe_gym.preparation.session import prepare
 from hframe_gym.recordings import Recording

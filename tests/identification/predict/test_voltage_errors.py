@@ -55,8 +55,8 @@ from hframe_gym.identification.predict.voltage_errors import (
     simulation_error,
     with_voltage_errors,
 )
-from hframe_gym.identification.report.remainder import reason_of_remainder
-from hframe_gym.identification.report.verdict_words import verdict_in_words
+from hframe_gym.identification.report.words.remainder import reason_of_remainder
+from hframe_gym.identification.report.words.verdict import verdict_in_words
 from hframe_gym.identification.validate.evaluation import _quiet
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.preparation.inputs.clock_voltages import ClockVoltages, updated_inputs_of_clock

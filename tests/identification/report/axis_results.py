@@ -11,10 +11,10 @@ from hframe_gym.effects import EFFECTS, get_effect
 from hframe_gym.effects.smooth_table import KNOTS
 from hframe_gym.identification import Dataset, IdentificationResult, write_result
 from hframe_gym.identification.propose.dependences import Dependence
-from hframe_gym.identification.report.document import Report
-from hframe_gym.identification.report.experiment_design import ExperimentDesign
+from hframe_gym.identification.report.content.document import Report
+from hframe_gym.identification.report.content.result import Verdict
+from hframe_gym.identification.report.diagnostics.experiment_design import ExperimentDesign
 from hframe_gym.identification.report.page import build_report
-from hframe_gym.identification.report.result import Verdict
 from hframe_gym.machine import Machine, Uncertainty
 from tests.identification.single_axis import AXIS, PRESLIDING, axis_result
 

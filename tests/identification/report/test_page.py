@@ -17,13 +17,13 @@ from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, write_result
 from hframe_gym.identification.fit.channel_errors import ChannelError
 from hframe_gym.identification.propose.dependences import Dependence
-from hframe_gym.identification.report.document import Hint
-from hframe_gym.identification.report.experiment_design import FILE
+from hframe_gym.identification.report.content.document import Hint
+from hframe_gym.identification.report.content.result import Unfinished, Verdict
+from hframe_gym.identification.report.content.saved_result import read_report
+from hframe_gym.identification.report.diagnostics.experiment_design import FILE
 from hframe_gym.identification.report.page import build_report
-from hframe_gym.identification.report.result import Unfinished, Verdict
-from hframe_gym.identification.report.rows import parameter_rows
-from hframe_gym.identification.report.saved_result import read_report
-from hframe_gym.identification.report.verdict_words import verdict_in_words
+from hframe_gym.identification.report.words.rows import parameter_rows
+from hframe_gym.identification.report.words.verdict import verdict_in_words
 from hframe_gym.identification.validate.machine_errors import PredictionErrors
 from hframe_gym.identification.validate.simpler_machines import PlainResult
 from hframe_gym.machine import BUILTIN_MACHINES, Uncertainty

@@ -12,7 +12,7 @@ import pytest
 from hframe_gym.dynamics import simulate
 from hframe_gym.identification import SelectionCriteria, prepare
 from hframe_gym.identification.predict.voltage_errors import with_voltage_errors
-from hframe_gym.identification.report.remainder import reason_of_remainder
+from hframe_gym.identification.report.words.remainder import reason_of_remainder
 from hframe_gym.identification.validate.evaluation import HeldOutTest, describe_unstable_motion
 from hframe_gym.identification.validate.unstable_motion import enlargement
 from hframe_gym.machine import BUILTIN_MACHINES, Machine

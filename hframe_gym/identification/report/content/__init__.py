@@ -1,0 +1,1 @@
+"""The result of an identification: collected, converted to report.json, written and read."""
