@@ -70,7 +70,9 @@ def axis() -> Machine:
 def without_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave plots out of report pages, for tests of their texts: drawing takes nine tenths of the time."""
     monkeypatch.setattr("hframe_gym.web_page.page.panel_svg", lambda panel, prefix: "")
-    monkeypatch.setattr("hframe_gym.identification.report.plots.save_panels", lambda panels, path: None)
+    monkeypatch.setattr(
+        "hframe_gym.identification.report.plots.panels.save_panels", lambda panels, path: None
+    )
 
 
 @pytest.fixture
