@@ -1,4 +1,4 @@
-"""The variables on which a missing force may depend: positions, speeds, currents, loads, heat, time."""
+"""The variables on which a missing force may depend: positions, velocities, currents, loads, heat, time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .missing_force import low_pass
 
 _HEAT_S = 2.0  # time constant of a winding's heat; small motors have 1 to 30 s, recordings last a few seconds
 _CONTACT_M = 0.3e-3  # travel after which the contacts of two surfaces are renewed; 0.01 to 1 mm
-_SLOW = 0.03  # of the rms speed; below, the direction of a measured velocity is uncertain
+_SLOW = 0.03  # fraction of the rms speed below which the direction of a measured velocity is uncertain
 
 
 def dependence_variables(machine: Machine, run: PreparedRecording, data: Dataset) -> dict[str, Array]:
@@ -35,7 +35,7 @@ def dependence_variables(machine: Machine, run: PreparedRecording, data: Dataset
 def variables_of_motion(
     machine: Machine, run: PreparedRecording, data: Dataset, positions: Array, velocities: Array
 ) -> dict[str, Array]:
-    """Return the variables of a run on which a missing effect may depend, for given positions and velocities.
+    """Return the variables of a run on which a missing force may depend, for given positions and velocities.
 
     Args:
         machine: Machine, whose parameters give currents and loads.
@@ -45,14 +45,19 @@ def variables_of_motion(
         velocities: Velocities, m/s or rad/s, shape (n, coordinates).
 
     Returns:
-        By name, shape (n,) each. For each coordinate C, with u for m or rad: "position of C" (u), "velocity
-        of C" (u/s), "acceleration of C" (u/s^2) below 30 Hz, "path of C" (u), the distance traveled since the
-        start of the run, and "dwell of C" (s), the age of its contacts. For each drive D: "current of D" (A;
-        the inductance neglected; for a drive with a law its torque, Nm), "heat of D" (A^2), the mean of the
-        squared current over the last seconds, "load of D" (N or Nm), the force that is left for the belts,
-        "impulse of D" (Ns or Nms), the integral of the load. The input channels, in their units; sums over
-        the drives: "current of drives" (A), "power of drives" (W), "load of drives" (N or Nm), and its rate,
-        "tension rate of belts" (N/s or Nm/s); "time" and "time in the run" (s).
+        By name, shape (n,) each.
+
+        - Of each coordinate C, with u for m or rad: "position of C" (u), "velocity of C" (u/s), "acceleration
+          of C" (u/s^2) below 30 Hz, "path of C" (u), the distance traveled since the start of the run, and
+          "dwell of C" (s), the age of its contacts.
+        - Of each drive D: "current of D" (A), (voltage - back-EMF) / resistance, without the inductance;
+          "heat of D" (A^2), the mean of its square over the last seconds; "load of D" (N or Nm), the drive's
+          force minus what accelerates its coordinate and overcomes its friction; "impulse of D" (Ns or Nms),
+          the integral of the load. Of a drive with a law, such as one that follows a set point,
+          the torque, Nm, stands for the current, also in the sums, so that these have other units.
+        - Sums over the drives: "current of drives" (A), "power of drives" (W), "load of drives" (N or Nm),
+          and "tension rate of belts" (N/s or Nm/s), the derivative of that load below 30 Hz.
+        - Each input channel, in its unit; "time", that of the recording's clock, and "time in the run" (s).
     """
     names, period = machine.coordinate_names, data.period
     accelerations = np.gradient(low_pass(velocities, period), run.time_s, axis=0)
@@ -66,26 +71,26 @@ def variables_of_motion(
         variables[f"dwell of {name}"] = _contact_age(speed * machine.travel_per_unit[i], period)
     power, rate, loads, currents = np.zeros((4, len(run.time_s)))
     torques = law_torques(machine, run.time_s, positions, velocities, run.inputs)
+    kept = np.exp(-period / _HEAT_S)  # fraction of the heat after one row
     for j, drive in enumerate(machine.drives):
         i = names.index(drive.coordinate)
         coordinate = machine.coordinates[i]
         if drive.law:
-            amps = torques[:, j]
-            force = drive.gear_ratio * amps
+            current = torques[:, j]  # Nm, in place of A
+            force = drive.gear_ratio * current
         else:
-            amps = (run.inputs[:, j] - drive.emf_constant * velocities[:, i]) / drive.resistance
-            force = drive.gain * drive.resistance * amps
+            current = (run.inputs[:, j] - drive.emf_constant * velocities[:, i]) / drive.resistance
+            force = drive.gain * drive.resistance * current
         load = force - coordinate.mass * accelerations[:, i] - coordinate.viscous * velocities[:, i]
         load -= coordinate.coulomb * smooth_sign(velocities[:, i])
         variables[machine.input_channels[j]] = run.inputs[:, j]
-        variables[f"current of {drive.name}"] = amps
-        forgotten = np.exp(-period / _HEAT_S)
-        variables[f"heat of {drive.name}"] = signal.lfilter([1.0 - forgotten], [1.0, -forgotten], amps**2)
+        variables[f"current of {drive.name}"] = current
+        variables[f"heat of {drive.name}"] = signal.lfilter([1.0 - kept], [1.0, -kept], current**2)
         variables[f"load of {drive.name}"] = load
         variables[f"impulse of {drive.name}"] = np.cumsum(load) * period
         loads += load
-        power += run.inputs[:, j] * amps
-        currents += amps
+        power += run.inputs[:, j] * current
+        currents += current
         rate += np.gradient(low_pass(load[:, None], period)[:, 0], run.time_s)
     variables |= {"current of drives": currents, "power of drives": power, "load of drives": loads}
     variables["tension rate of belts"] = rate
@@ -102,7 +107,15 @@ def smooth_sign(velocity: Array) -> Array:
 
 
 def _contact_age(speed: Array, period: float) -> Array:
-    """Return how long a coordinate's contacts have rested, s, from its speed, m/s: age' = 1 - speed age/D."""
+    """Return the age of a coordinate's contacts, s, shape (n,).
+
+    It grows with time at rest, and travel by the distance D = `_CONTACT_M` renews the contacts:
+    d age / dt = 1 - speed age / D. It is 0 before the first row.
+
+    Args:
+        speed: Magnitude of the velocity, m/s, shape (n,).
+        period: Sampling period, s.
+    """
     age, ages = 0.0, np.empty(len(speed))
     for row, kept in enumerate(np.exp(-speed * period / _CONTACT_M)):
         ages[row] = age = (age + period) * kept
