@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.dynamics import elementwise
-from hframe_gym.dynamics.symbolic.expressions import function_source
+from hframe_gym.dynamics.symbolic.source_text import function_source
 from hframe_gym.dynamics.symbolic.tracing import Trace
 
 

@@ -13,7 +13,8 @@ from typing_extensions import override
 
 from ..physics.equations import ForceBalance
 from ..symbolic.elementwise import absolute, where
-from ..symbolic.expressions import Expression, function_source
+from ..symbolic.source_text import function_source
+from ..symbolic.tracing import Expression
 from .kernel_source import KernelSource
 from .reverse_trace import ReverseTrace
 from .step_trace import StepTrace

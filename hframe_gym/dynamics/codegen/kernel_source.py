@@ -1,4 +1,4 @@
-"""Generate the source of a machine's simulation kernel by evaluating the equations on traced expressions.
+"""Trace the functions of a machine's simulation kernel by evaluating the equations on expressions.
 
 A traced expression records the operations on it (module `tracing`). What is the same for all machines of one
 shape (coordinates, factors of the belts, sites of drives and effects) becomes source text, where terms with
@@ -8,14 +8,13 @@ the factor 0 and multiplications by 1 are omitted. What differs between them (ev
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
 from ...machine import HOOKS, Machine, argument_names
 from ..physics.equations import Equations
 from ..symbolic.elementwise import exp
-from ..symbolic.expressions import Expression, function_source
-from ..symbolic.tracing import Trace
-from .step_trace import Layout, StepTrace, row_name
+from ..symbolic.tracing import Expression, Trace
 
 # Functions of the generated text.
 FUNCTIONS = ("prepare", "voltage_delays", "advance", "read_sensors", "measurement_delays")
@@ -31,8 +30,29 @@ def feels_forces(machine: Machine) -> bool:
     return any(sensor.sensed.jumps for sensor in machine.sensors)
 
 
+@dataclass(frozen=True)
+class Layout:
+    """Row of each quantity in the arrays `parameters` and `derived` of a compiled simulation kernel.
+
+    Both arrays have one column per machine.
+
+    Attributes:
+        parameters: Row of each machine parameter by full name, for example "x.mass".
+        derived: Row of each constant that the generated function `prepare` derives from parameters and step
+            length h, for example "coordinate_0.decay", the factor exp(-b h / m) of the first coordinate.
+    """
+
+    parameters: Mapping[str, int]
+    derived: Mapping[str, int]
+
+
+def row_name(component: str, index: int, key: str) -> str:
+    """Return the name of a step constant, such as "coordinate_0.decay" for the factor exp(-b h / m)."""
+    return f"{component}_{index}.{key}"
+
+
 class KernelSource:
-    """Source text of the simulation kernel (generated code) for all machines of one shape (`Machine.shape`).
+    """Functions of the simulation kernel (generated code) for all machines of one shape (`Machine.shape`).
 
     Args:
         machine: Any machine of the shape; its parameter values do not matter.
@@ -50,8 +70,6 @@ class KernelSource:
         lagged: Whether a sensor has a delay.
         uses_time: Whether time is counted step by step: an effect depends on it, or on the clock.
         clocked: Whether an effect changes the clock: steps then last differently long for each machine.
-        text: Source of the functions prepare (constants of a step), voltage_delays, advance (the integrator),
-            read_sensors and measurement_delays.
     """
 
     def __init__(self, machine: Machine, *, forced: bool = False) -> None:
@@ -83,14 +101,6 @@ class KernelSource:
             or any("t" in argument_names(f) for f in hooks)
             or any(d.against == "time" for d in definitions)
         )
-        traces = (
-            self.trace_constants(Trace("prepare(parameters, derived, h: float)")),
-            self.trace_delays(Trace("voltage_delays(parameters, delays)"), "voltage_delays"),
-            StepTrace(self).trace,
-            self.trace_sensors(Trace("read_sensors(state, parameters, readings)")),
-            self.trace_delays(Trace("measurement_delays(parameters, delays)"), "measurement_delays"),
-        )
-        self.text = "\n\n".join(map(function_source, traces))
 
     def directions(self, i: int) -> tuple[str, ...]:
         """Return the suffixes of coordinate i's step constants that distinguish directions of motion.
@@ -100,10 +110,14 @@ class KernelSource:
         """
         return ("_forward", "_backward") if any(self._plain.effects_on("viscous", i)) else ("",)
 
-    def _equations(self, trace: Trace) -> Equations:
-        """Return the equations with the parameters loaded from the array `parameters`."""
+    def parameters(self, trace: Trace) -> dict[str, Expression]:
+        """Load the parameters by full name from the array `parameters` of a function."""
         rows = self.layout.parameters.items()
-        return Equations(self.machine, {name: trace.load("parameters", row, f"p{row}") for name, row in rows})
+        return {name: trace.load("parameters", row, f"p{row}") for name, row in rows}
+
+    def equations(self, trace: Trace) -> Equations:
+        """Return the equations with the parameters loaded from the array `parameters`."""
+        return Equations(self.machine, self.parameters(trace))
 
     # -- constants of a step ---------------------------------------------------------------------------------
 
@@ -112,7 +126,7 @@ class KernelSource:
 
         Return the trace, to which the statements are appended.
         """
-        for name, value in self.step_constants(trace, self._equations(trace), trace.argument("h")):
+        for name, value in self.step_constants(trace, self.equations(trace), trace.argument("h")):
             trace.store("derived", self.layout.derived[name], value)
         return trace
 
@@ -152,13 +166,13 @@ class KernelSource:
 
     def trace_delays(self, trace: Trace, function: str) -> Trace:
         """Trace the function `voltage_delays` or `measurement_delays`: each drive's or sensor's delay, s."""
-        for row, delay in enumerate(getattr(self._equations(trace), function)()):
+        for row, delay in enumerate(getattr(self.equations(trace), function)()):
             trace.store("delays", row, delay)
         return trace
 
     def trace_sensors(self, trace: Trace) -> Trace:
         """Trace the reading of each sensor in its unit; return the trace."""
-        equations = self._equations(trace)
+        equations = self.equations(trace)
         travel = [trace.load("state", i, f"travel_{i}") for i in self._coordinates]
         positions = [p / equations.radius(i) for i, p in enumerate(travel)]
         velocities, accelerations, currents = None, None, None

@@ -20,8 +20,7 @@ from typing_extensions import override
 
 from ..physics import friction
 from ..symbolic.elementwise import copysign, cos, fma, sin, where
-from ..symbolic.expressions import Expression, Statement
-from ..symbolic.tracing import Trace
+from ..symbolic.tracing import Expression, Statement, Trace
 
 # Operations whose derivative is zero, or which give a condition.
 _CONSTANT = {

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...arrays import Array
 from ...machine import argument_names
-from ..symbolic.expressions import function_source
+from ..symbolic.source_text import function_source
 from ..symbolic.tracing import Trace
 from .blocks import in_blocks
 from .lane_program import LaneProgram

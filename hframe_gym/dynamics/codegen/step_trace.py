@@ -15,87 +15,25 @@ The scheme is of second order and needs two force evaluations and one division p
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from functools import reduce
-from typing import Protocol
+from typing import Any
 
 from typing_extensions import override
 
-from ...machine import Machine
 from ..physics.belts import combination
 from ..physics.equations import Equations, ForceBalance
 from ..physics.parameterized_machine import MotionPoint
 from ..symbolic.elementwise import fma, minimum, named, where
-from ..symbolic.expressions import Expression
-from ..symbolic.tracing import Trace, first_of
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Row of each quantity in the arrays `parameters` and `derived` of a compiled simulation kernel.
-
-    Both arrays have one column per machine.
-
-    Attributes:
-        parameters: Row of each machine parameter by full name, for example "x.mass".
-        derived: Row of each constant that the generated function `prepare` derives from parameters and step
-            length h, for example "coordinate_0.decay", the factor exp(-b h / m) of the first coordinate.
-    """
-
-    parameters: Mapping[str, int]
-    derived: Mapping[str, int]
-
-
-class KernelShape(Protocol):
-    """The part of a `kernel_source.KernelSource` that the trace of a step needs; explained there."""
-
-    machine: Machine
-    forced: bool
-    layout: Layout
-    felt: int
-    states: int
-    delayed: bool
-    uses_time: bool
-    clocked: bool
-
-    def directions(self, i: int) -> tuple[str, ...]:
-        """Return the suffixes of those step constants of coordinate `i` that depend on the direction.
-
-        They are described at `kernel_source.KernelSource.directions`.
-        """
-
-    def step_constants(
-        self, trace: Trace, equations: Equations, h: Expression
-    ) -> Iterator[tuple[str, Expression]]:
-        """Trace the constants of an integration step of length `h`, s.
-
-        Yield each with the name of its row.
-        """
-
-
-def row_name(component: str, index: int, key: str) -> str:
-    """Return the name of a step constant, such as "coordinate_0.decay" for the factor exp(-b h / m).
-
-    The constants depend on the parameters and the step length only. They are computed before the integration
-    and stored in the rows of an array. By the name, the generator of the simulation code finds the row.
-
-    Args:
-        component: Kind of the component, such as "coordinate".
-        index: Its index in the machine.
-        key: The quantity, such as "decay".
-    """
-    return f"{component}_{index}.{key}"
+from ..symbolic.tracing import Expression, Trace
+from .kernel_source import KernelSource, row_name
 
 
 class _PreparedEquations(Equations):
     """Equations that take from `derived` what `prepare` has computed."""
 
-    def __init__(self, source: KernelShape, trace: Trace) -> None:
-        rows = source.layout.parameters.items()
-        super().__init__(
-            source.machine, {name: trace.load("parameters", row, f"p{row}") for name, row in rows}
-        )
+    def __init__(self, source: KernelSource, trace: Trace) -> None:
+        super().__init__(source.machine, source.parameters(trace))
         self._trace = trace
         self._rows = source.layout.derived
         self.constants: Mapping[str, Expression] = {}  # instead of those that `prepare` has computed
@@ -124,7 +62,7 @@ class _PreparedEquations(Equations):
 class StepTrace:
     """Trace of the generated function `advance`, in the order of the algorithm at the top of this module."""
 
-    def __init__(self, source: KernelShape) -> None:
+    def __init__(self, source: KernelSource) -> None:
         self.trace = trace = Trace(
             "advance(state, parameters, derived, inputs, external_forces, h: float, steps: int)"
         )
@@ -143,7 +81,7 @@ class StepTrace:
         if source.felt:
             self._store_felt(source.states - source.felt)
 
-    def _begin(self, source: KernelShape) -> None:
+    def _begin(self, source: KernelSource) -> None:
         """Trace what comes before the first step: the state is loaded."""
         self.source, trace = source, self.trace
         self.coordinates = range(len(source.machine.coordinates))
@@ -243,11 +181,7 @@ class StepTrace:
         trace, source = self.trace, self.source
         factor = self.equations.step_factor(self.effect_states)
         self.h = trace.let("actual_step", None, self.h * factor)
-        rows = source.layout.parameters.items()
-        plain = Equations(
-            source.machine, {name: trace.load("parameters", row, f"p{row}") for name, row in rows}
-        )
-        self.equations.constants = dict(source.step_constants(trace, plain, self.h))
+        self.equations.constants = dict(source.step_constants(trace, source.equations(trace), self.h))
 
     def _voltages(self) -> list[Expression]:
         """Return the commanded voltage of each drive; with a delay it changes from step to step."""
@@ -343,7 +277,7 @@ class StepTrace:
         # Not an expression of the body, which would be computed once, before the loop.
         with trace.block("while any_of({}):", trace.node(">", 0.0, reduce(minimum, crossings))):
             stops = [named("stops", i, crossing < 0.0) for i, crossing in enumerate(crossings)]
-            coordinate = first_of(stops, list(map(float, self.coordinates)), -1.0)
+            coordinate = _first_of(stops, list(map(float, self.coordinates)), -1.0)
             coordinate = trace.let("stopping_coordinate", None, coordinate)
             operands: dict[str, Sequence[Expression]] = {
                 "speed": self.speed,
@@ -358,7 +292,7 @@ class StepTrace:
             }
             arguments = [
                 trace.let(
-                    f"stopping_{key}", None, trace.expression(first_of(stops[:-1], values[:-1], values[-1]))
+                    f"stopping_{key}", None, trace.expression(_first_of(stops[:-1], values[:-1], values[-1]))
                 )
                 for key, values in operands.items()
             ]
@@ -371,3 +305,11 @@ class StepTrace:
                 next_travel = trace.assign(next_travel, where(turn, self.travel[i] + traveled, next_travel))
                 ends.append((next_speed, next_travel))
         return ends
+
+
+def _first_of(conditions: Sequence[Any], values: Sequence[Any], otherwise: Any) -> Any:
+    """Return the expression of the value of the first condition that is true, or `otherwise`."""
+    selected = otherwise
+    for condition, value in reversed(list(zip(conditions, values, strict=True))):
+        selected = where(condition, value, selected)
+    return selected

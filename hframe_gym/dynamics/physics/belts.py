@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from ...machine import AppliedEffect
 from ..symbolic.elementwise import fma, named
-from ..symbolic.expressions import Expression
+from ..symbolic.tracing import Expression
 from .parameterized_machine import IndexRow, MotionPoint, ParameterizedMachine, Value
 
 

@@ -31,7 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from .expressions import Expression
+from .tracing import Expression
 
 __all__ = [
     "absolute",

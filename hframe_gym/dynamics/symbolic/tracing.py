@@ -2,7 +2,7 @@
 
 A `Trace` is the record of one function that is to be generated for a simulation kernel. The equations are
 evaluated once with `Expression`s instead of numbers. Arithmetic and the functions of `elementwise` add
-expressions to the record, where equal ones exist only once; `expressions.function_source` then writes the
+expressions to the record, where equal ones exist only once; `source_text.function_source` then writes the
 function as source text. Names in this text are made of fixed words and numbers only: no name of a machine
 file gets into generated code.
 """
@@ -15,11 +15,9 @@ import re
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-
-from .elementwise import where
-from .expressions import Expression, Statement, simplified
 
 _PACKAGE = Path(__file__).parents[1]  # dynamics
 # Parts of the messages of Python and NumPy about functions and operators that accept neither expressions nor
@@ -31,6 +29,130 @@ _NUMBERS_ONLY = (
     r"only (0-dimensional|length-1|size-1) arrays",  # math.sin of an array
     r"'Expression' and '(Expression|float|int)'|'(float|int)' and 'Expression'",  # v % 0.1
 )
+
+
+def _operator(sign: str) -> Callable[[Expression, Any], Expression]:
+    """Return the method of an expression that records an operation with another value."""
+    return lambda self, other: self.trace.node(sign, self, other)
+
+
+def _reflected(sign: str) -> Callable[[Expression, Any], Expression]:
+    """Return the method that records an operation whose first operand is the other value."""
+    return lambda self, other: self.trace.node(sign, other, self)
+
+
+class Expression:
+    """A value in a generated function: a number, a variable, a row of an array, or an operation on values.
+
+    Attributes:
+        trace: Record of the function to which the expression belongs.
+        operation: "number", "variable", "load" (row of an array), an operator such as "+", or the name of a
+            function.
+        operands: Operands of an operation. A number or load has its source text here; a variable has its name
+            and a version number, which every assignment to the variable increases.
+        invariant: Whether the value is the same in all steps of the loop.
+        variables: Reassigned variables on which the value depends.
+    """
+
+    __slots__ = ("invariant", "operands", "operation", "trace", "variables")
+    __array_ufunc__ = None  # NumPy scalars leave mixed operations to this class
+
+    def __init__(self, trace: Trace, operation: str, operands: tuple[Any, ...], *, invariant: bool) -> None:
+        self.trace = trace
+        self.operation = operation
+        self.operands = operands
+        self.invariant = invariant
+        self.variables: frozenset[Expression] = frozenset()
+        if operation == "variable":
+            self.variables = frozenset() if invariant else frozenset([self])
+        else:
+            self.variables = frozenset().union(*(o.variables for o in operands if isinstance(o, Expression)))
+
+    @property
+    def is_leaf(self) -> bool:
+        """Whether the expression is a number or a variable, for which the generated code computes nothing."""
+        return self.operation in ("number", "variable")
+
+    def __bool__(self) -> bool:
+        raise TypeError(
+            "a formula cannot branch on its arguments "
+            "(`hframe_gym.dynamics.elementwise.where` selects a value)"
+        )
+
+    __hash__ = object.__hash__
+
+    def __neg__(self) -> Expression:
+        return self.trace.node("neg", self)
+
+    def __abs__(self) -> Expression:
+        return self.trace.node("absolute", self)
+
+    __add__, __radd__ = _operator("+"), _reflected("+")
+    __sub__, __rsub__ = _operator("-"), _reflected("-")
+    __mul__, __rmul__ = _operator("*"), _reflected("*")
+    __truediv__, __rtruediv__ = _operator("/"), _reflected("/")
+    __lt__, __le__, __gt__, __ge__ = map(_operator, ("<", "<=", ">", ">="))
+    __eq__, __ne__ = _operator("=="), _operator("!=")  # type: ignore[assignment]
+    __and__, __or__ = _operator("&"), _operator("|")
+
+    def __pow__(self, exponent: int) -> Expression:
+        if not isinstance(exponent, int) or exponent < 1:
+            raise TypeError(f"a formula may use ** with positive integers only, not {exponent!r}")
+        return self if exponent == 1 else self * self ** (exponent - 1)
+
+
+@dataclass
+class Statement:
+    """A line of the function, or a block of lines.
+
+    Attributes:
+        text: Template of the line; "{}" marks the places of the values.
+        sets: Variables to which the line assigns.
+        body: Statements of the indented block below the line; empty for a simple statement.
+        loop: Whether the block is the body of a loop.
+    """
+
+    text: str
+    values: tuple[Expression, ...] = ()
+    sets: tuple[Expression, ...] = ()
+    body: list[Statement] = field(default_factory=list)
+    loop: bool = False
+
+
+def simplified(operation: str, values: tuple[Expression, ...]) -> Expression | None:
+    """Simplify an operation, such as 2 + 3, x + 0 or x * 1, if possible; else return None.
+
+    At most the sign of a zero may change.
+
+    Raises:
+        ValueError: If an operation on two numbers gives no finite number.
+    """
+    # The value of each operand that is a number, else None.
+    numbers = [float(v.operands[0]) if v.operation == "number" else None for v in values]
+    trace = values[0].trace
+    if operation == "neg":
+        if numbers[0] is not None:
+            return trace.expression(-numbers[0])
+        return values[0].operands[0] if values[0].operation == "neg" else None
+    if operation not in ("+", "-", "*", "/"):
+        return None
+    (a, b), (first, second) = numbers, values
+    if a is not None and b is not None:
+        return trace.expression(
+            {"+": a + b, "-": a - b, "*": a * b, "/": a / b if b else math.inf}[operation]
+        )
+    if operation in ("+", "-"):
+        if b == 0.0:
+            return first
+        if a == 0.0:
+            return second if operation == "+" else -second
+        if second.operation == "neg":
+            return trace.node("-" if operation == "+" else "+", first, second.operands[0])
+    elif b == 1.0:
+        return first
+    elif operation == "*" and a == 1.0:
+        return second
+    return None
 
 
 class Trace:
@@ -220,17 +342,6 @@ class Trace:
         variables = [self.variable("guarded", i, self.expression(value)) for i, value in enumerate(values)]
         with self.block("if any_of({}):", condition):
             return [self.assign(v, value) for v, value in zip(variables, update(variables), strict=True)]
-
-
-def first_of(conditions: Sequence[Any], values: Sequence[Any], otherwise: Any) -> Any:
-    """Return the expression that selects, for every machine, the value of the first condition that is true.
-
-    Where no condition is true, it is `otherwise`.
-    """
-    selected = otherwise
-    for condition, value in reversed(list(zip(conditions, values, strict=True))):
-        selected = where(condition, value, selected)
-    return selected
 
 
 def evaluate_formula(label: str, function: Callable[..., Any], *values: Any) -> Any:

@@ -14,8 +14,7 @@ from typing import Any
 
 from typing_extensions import override
 
-from ...dynamics.symbolic.expressions import Expression
-from ...dynamics.symbolic.tracing import Trace
+from ...dynamics.symbolic.tracing import Expression, Trace
 from ...machine import Machine
 from ..base import plain
 

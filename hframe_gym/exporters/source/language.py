@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from ...dynamics.symbolic.expressions import Expression
+from ...dynamics.symbolic.tracing import Expression
 from .formula import Formula
 
 _CONDITIONS = ("<", "<=", ">", ">=", "==", "!=", "&", "|")

@@ -20,7 +20,7 @@ import numpy as np
 from ...arrays import Array
 from ...controllers import TextbookPID
 from ...dynamics.elementwise import absolute, maximum, minimum, where
-from ...dynamics.symbolic.expressions import Expression
+from ...dynamics.symbolic.tracing import Expression
 from ...errors import InputError
 from ...machine import Machine, motion_limits
 from ..base import axis_range, plain
