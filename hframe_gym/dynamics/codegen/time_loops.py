@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .blocks import read_block
 from .compiled import compiled, compiled_only
 from .machine_code import LANES
 from .native_calls import call_at
@@ -84,36 +85,6 @@ def most_steps(time, longest_step: float) -> int:
 
 
 @compiled_only
-def start_block(
-    block: int, coordinates: int, start_time: float, parameters, start, state, block_parameters
-) -> None:
-    """Copy parameters and initial states of up to LANES of B machines to a block's arrays, one lane each.
-
-    Columns without a machine repeat the first machine of the block.
-
-    Args:
-        block: Index of the block.
-        coordinates: Number of coordinates.
-        start_time: Time of the first sample, s.
-        parameters: Parameters of all machines, SI, shape (B, parameters).
-        start: States of all machines without their time, SI, shape (B, rows of the state - 1).
-        state: Output: belt travel, m, its rate, m/s, time, s, and effect states,
-            shape (rows of the state, LANES).
-        block_parameters: Output: parameters, SI, shape (parameters, LANES).
-    """
-    moving = 2 * coordinates
-    for lane in range(state.shape[1]):
-        b = block * LANES + (lane if block * LANES + lane < parameters.shape[0] else 0)
-        for k in range(parameters.shape[1]):
-            block_parameters[k, lane] = parameters[b, k]
-        for k in range(moving):
-            state[k, lane] = start[b, k]
-        state[moving, lane] = start_time
-        for k in range(moving + 1, state.shape[0]):
-            state[k, lane] = start[b, k - 1]
-
-
-@compiled_only
 def copy_lanes(block: int, row: int, values, table) -> None:
     """Copy values of a block of machines to one row of their recordings.
 
@@ -126,6 +97,7 @@ def copy_lanes(block: int, row: int, values, table) -> None:
             done.
     """
     first = block * LANES
+    # Without a view of the row, which would cost a third of the time of a simulation.
     if first + LANES <= table.shape[0]:  # a constant number of machines: twice as fast
         for lane in range(LANES):
             for k in range(table.shape[2]):
@@ -326,11 +298,13 @@ def rollout(
     past_readings = np.zeros((time.shape[0] if lagged else 0, sensors, LANES))
     voltages = np.zeros((drives * most_steps(time, longest_step) if delayed else drives, LANES))
     for block in range(first, last):
-        start_block(block, coordinates, time[0], parameters, start, state, block_parameters)
+        begin, moving = block * LANES, 2 * coordinates
+        read_block(parameters, begin, block_parameters)
+        read_block(start[:, :moving], begin, state[:moving])
+        state[moving] = time[0]
+        read_block(start[:, moving:], begin, state[moving + 1 :])
         if offsets.shape[0] > 0:
-            for j in range(sensors):
-                for lane in range(LANES):
-                    offset[j, lane] = offsets[min(block * LANES + lane, offsets.shape[0] - 1), j]
+            read_block(offsets, begin, offset)
         if delayed:
             call_at(voltage_delays, block_parameters, drive_delays)
         if lagged:
