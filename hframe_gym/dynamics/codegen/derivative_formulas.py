@@ -7,13 +7,18 @@ series.
 
 from __future__ import annotations
 
+from math import factorial
 from typing import Any
 
 from ..physics.friction import decay_integral, end_weight, ramp
-from ..symbolic.elementwise import absolute, any_of, fma, where
+from ..symbolic.elementwise import absolute, any_of, polynomial, where
 from .lane_formulas import exp
 
 _SMALL = 0.5  # largest |z| of the series below: the remainder of the Taylor series to z**10 is below 1e-13
+# Derivative of the Bernoulli series of `end_weight`: factors of the even powers.
+_BERNOULLI_SLOPE = (1.0 / 5322240.0, -1.0 / 172800.0, 1.0 / 6048.0, -1.0 / 240.0, 1.0 / 12.0)
+# The sum of (-1)**k (k - 2) z**(k - 3) / k! from k = 3 on, with the opposite sign.
+_RAMP_SLOPE = tuple((-1) ** (k + 1) * (k - 2) / factorial(k) for k in range(13, 2, -1))
 
 
 def decay_integral_slope(z: Any) -> Any:
@@ -31,11 +36,8 @@ def end_weight_slope(z: Any) -> Any:
     The argument is dimensionless, as in `decay_integral_slope`.
     """
     q = z * z
-    # Derivative of the Bernoulli series of w, because the closed form cancels for small z.
-    p = fma(q, 1.0 / 5322240.0, -1.0 / 172800.0)
-    p = fma(q, p, 1.0 / 6048.0)
-    p = fma(q, p, -1.0 / 240.0)
-    p = fma(q, p, 1.0 / 12.0)
+    # The closed form cancels for small z.
+    p = polynomial(q, _BERNOULLI_SLOPE)
     if any_of(z > _SMALL):
         large = where(z > _SMALL, z, 1.0)
         w = end_weight(large)
@@ -49,18 +51,7 @@ def ramp_slope(z: Any) -> Any:
     The argument is z = b t / m, dimensionless, of a motion of the duration t; it is negative for motion
     reversed in time.
     """
-    # Taylor series: the sum of (-1)**k (k - 2) z**(k - 3) / k! from k = 3 on.
-    p = fma(z, 11.0 / 6227020800.0, -10.0 / 479001600.0)
-    p = fma(z, p, 9.0 / 39916800.0)
-    p = fma(z, p, -8.0 / 3628800.0)
-    p = fma(z, p, 7.0 / 362880.0)
-    p = fma(z, p, -6.0 / 40320.0)
-    p = fma(z, p, 5.0 / 5040.0)
-    p = fma(z, p, -4.0 / 720.0)
-    p = fma(z, p, 3.0 / 120.0)
-    p = fma(z, p, -2.0 / 24.0)
-    p = fma(z, p, 1.0 / 6.0)
-    p = -p
+    p = -polynomial(z, _RAMP_SLOPE)
     large = absolute(z) > _SMALL
     if any_of(large):
         safe = where(large, z, 1.0)

@@ -24,7 +24,7 @@ import inspect
 import operator
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import Any
 
 from llvmlite import ir
@@ -280,6 +280,9 @@ class _Function:
                 first, second = self._vectors(name, operands, 2)
                 smaller = self._builder.fcmp_ordered("<" if name == "minimum" else ">", first, second)
                 return self._builder.select(smaller, first, second)
+            case "polynomial":
+                x, coefficients = operands
+                return reduce(lambda p, c: self._call("fma", [x, p, c]), coefficients)
             case "where":
                 mask, yes, no = operands
                 return self._builder.select(mask, self._as_vector(yes), self._as_vector(no))

@@ -8,9 +8,10 @@ NumPy arrays, they compute the same with two roundings in place of each fused mu
 
 from __future__ import annotations
 
+from math import factorial
 from typing import Any
 
-from ..symbolic.elementwise import absolute, copysign, floor, fma, pow2, rint, where
+from ..symbolic.elementwise import absolute, copysign, floor, fma, polynomial, pow2, rint, where
 
 _LOG2E = 1.4426950408889634
 _SQRT2 = 1.4142135623730951
@@ -20,6 +21,12 @@ _TWO_OVER_PI = 0.6366197723675814
 # pi/2 in three parts (Cody and Waite): the products of the first two with an integer up to 2**20 are exact.
 # For larger integers, up to 1e12 and beyond, the single rounding of `fma` preserves the accuracy.
 _PIO2 = (1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21)
+# Taylor series: e**r to r**12, |r| <= 0.347, remainder 2e-16; artanh(s) / s to s**22, remainder 2e-19; sin r
+# (without its first term, over r**3) to r**15 and cos r to r**16, |r| <= pi/4, remainders 5e-17 and 2e-18.
+_EXPONENTIAL = tuple(1.0 / factorial(k) for k in range(12, -1, -1))
+_ARTANH = tuple(1.0 / k for k in range(23, 0, -2))
+_SINE = tuple((-1) ** (k // 2) / factorial(k) for k in range(15, 1, -2))
+_COSINE = tuple((-1) ** (k // 2) / factorial(k) for k in range(16, -1, -2))
 
 
 def exp(x: Any) -> Any:
@@ -27,19 +34,7 @@ def exp(x: Any) -> Any:
     bounded = where(x < -700.0, -700.0, where(x > 700.0, 700.0, x))
     n = rint(bounded * _LOG2E)
     r = fma(n, -_LN2_LOW, fma(n, -_LN2_HIGH, bounded))
-    # Taylor series to r**12: |r| <= 0.347, remainder 2e-16.
-    p = fma(r, 1.0 / 479001600.0, 1.0 / 39916800.0)
-    p = fma(r, p, 1.0 / 3628800.0)
-    p = fma(r, p, 1.0 / 362880.0)
-    p = fma(r, p, 1.0 / 40320.0)
-    p = fma(r, p, 1.0 / 5040.0)
-    p = fma(r, p, 1.0 / 720.0)
-    p = fma(r, p, 1.0 / 120.0)
-    p = fma(r, p, 1.0 / 24.0)
-    p = fma(r, p, 1.0 / 6.0)
-    p = fma(r, p, 0.5)
-    p = fma(r, p, 1.0)
-    p = fma(r, p, 1.0)
+    p = polynomial(r, _EXPONENTIAL)
     return where(x < -700.0, 0.0, p * pow2(n))
 
 
@@ -63,20 +58,10 @@ def log(x: Any) -> Any:
     n = n + _power(limited * pow2(-n), 1.0)
     n = where(limited * pow2(-n) > _SQRT2, n + 1.0, n)
     m = limited * pow2(-n)
-    # ln m = 2 artanh s with s = (m - 1)/(m + 1), series to s**23: |s| <= 0.172, remainder 2e-19.
+    # ln m = 2 artanh s with s = (m - 1)/(m + 1), |s| <= 0.172.
     s = (m - 1.0) / (m + 1.0)
     q = s * s
-    p = fma(q, 1.0 / 23.0, 1.0 / 21.0)
-    p = fma(q, p, 1.0 / 19.0)
-    p = fma(q, p, 1.0 / 17.0)
-    p = fma(q, p, 1.0 / 15.0)
-    p = fma(q, p, 1.0 / 13.0)
-    p = fma(q, p, 1.0 / 11.0)
-    p = fma(q, p, 1.0 / 9.0)
-    p = fma(q, p, 1.0 / 7.0)
-    p = fma(q, p, 1.0 / 5.0)
-    p = fma(q, p, 1.0 / 3.0)
-    p = fma(q, p, 1.0)
+    p = polynomial(q, _ARTANH)
     return fma(n, _LN2_HIGH, fma(n, _LN2_LOW, 2.0 * s * p))
 
 
@@ -89,23 +74,8 @@ def _sin_shifted(x: Any, quarter_turns: float) -> Any:
     n = rint(x * _TWO_OVER_PI)
     r = fma(n, -_PIO2[2], fma(n, -_PIO2[1], fma(n, -_PIO2[0], x)))
     s = r * r
-    # Taylor series of sin r (odd) to r**15 and of cos r (even) to r**16: |r| <= pi/4, remainders 5e-17 and
-    # 2e-18.
-    odd = fma(s, -1.0 / 1307674368000.0, 1.0 / 6227020800.0)
-    odd = fma(s, odd, -1.0 / 39916800.0)
-    odd = fma(s, odd, 1.0 / 362880.0)
-    odd = fma(s, odd, -1.0 / 5040.0)
-    odd = fma(s, odd, 1.0 / 120.0)
-    odd = fma(s, odd, -1.0 / 6.0)
-    odd = fma(s * r, odd, r)
-    even = fma(s, 1.0 / 20922789888000.0, -1.0 / 87178291200.0)
-    even = fma(s, even, 1.0 / 479001600.0)
-    even = fma(s, even, -1.0 / 3628800.0)
-    even = fma(s, even, 1.0 / 40320.0)
-    even = fma(s, even, -1.0 / 720.0)
-    even = fma(s, even, 1.0 / 24.0)
-    even = fma(s, even, -0.5)
-    even = fma(s, even, 1.0)
+    odd = fma(s * r, polynomial(s, _SINE), r)
+    even = polynomial(s, _COSINE)
     turn = n + quarter_turns
     quadrant = turn - 4.0 * floor(turn * 0.25)
     value = where((quadrant == 1.0) | (quadrant == 3.0), even, odd)

@@ -13,13 +13,18 @@ travel, m (radius * angle of a rotary one), and forces act along it.
 
 from __future__ import annotations
 
+from math import factorial
 from typing import Any
 
-from ..symbolic.elementwise import absolute, any_of, copysign, exp, fma, where
+from ..symbolic.elementwise import absolute, any_of, copysign, exp, fma, polynomial, where
 
 # Argument b h / m up to which the series are accurate to 1e-12; strongly damped machines beyond it use the
 # exponential.
 _SMALL = 0.5
+# Taylor series of (1 - exp(-z)) / z in -z, to z**10.
+_DECAY = tuple(1.0 / factorial(k) for k in range(11, 0, -1))
+# Bernoulli series 1/2 + z/12 - z**3/720 + ... of `end_weight`: factors of the odd powers.
+_BERNOULLI = (1.0 / 47900160.0, -1.0 / 1209600.0, 1.0 / 30240.0, -1.0 / 720.0, 1.0 / 12.0)
 
 
 def decay_integral(z: Any) -> Any:
@@ -28,17 +33,8 @@ def decay_integral(z: Any) -> Any:
     A constant force f changes the speed of a mass m with viscous coefficient b by f h / m * decay_integral(z)
     in a step of length h, with the damping z = b h / m, dimensionless. The factor is 1 for z = 0.
     """
-    # Taylor series to z**10 in Horner's form, because the closed form cancels for small z.
-    p = fma(z, -1.0 / 39916800.0, 1.0 / 3628800.0)
-    p = fma(z, -p, 1.0 / 362880.0)
-    p = fma(z, -p, 1.0 / 40320.0)
-    p = fma(z, -p, 1.0 / 5040.0)
-    p = fma(z, -p, 1.0 / 720.0)
-    p = fma(z, -p, 1.0 / 120.0)
-    p = fma(z, -p, 1.0 / 24.0)
-    p = fma(z, -p, 1.0 / 6.0)
-    p = fma(z, -p, 0.5)
-    p = fma(z, -p, 1.0)
+    # The closed form cancels for small z.
+    p = polynomial(-z, _DECAY)
     # a strongly damped machine; the branch is skipped if no machine of the register needs it
     if any_of(z > _SMALL):
         large = where(z > _SMALL, z, 1.0)
@@ -53,11 +49,8 @@ def end_weight(z: Any) -> Any:
     1/z, if the force is constant. For small z this is the trapezoidal rule, w = 1/2.
     """
     square = z * z
-    # Bernoulli series 1/2 + z/12 - z**3/720 + ..., because the closed form cancels for small z.
-    p = fma(square, 1.0 / 47900160.0, -1.0 / 1209600.0)
-    p = fma(square, p, 1.0 / 30240.0)
-    p = fma(square, p, -1.0 / 720.0)
-    p = fma(square, p, 1.0 / 12.0)
+    # The closed form cancels for small z.
+    p = polynomial(square, _BERNOULLI)
     p = fma(z, p, 0.5)
     if any_of(z > _SMALL):
         large = where(z > _SMALL, z, 1.0)

@@ -134,6 +134,14 @@ def fma(a: Any, b: Any, c: Any) -> Any:
     return _apply("fma", a, b, c)
 
 
+def polynomial(x: Any, coefficients: Sequence[float]) -> Any:
+    """Evaluate a polynomial by Horner's scheme; the coefficients begin with that of the highest power."""
+    value: Any = coefficients[0]
+    for coefficient in coefficients[1:]:
+        value = fma(x, value, coefficient)
+    return value
+
+
 def rint(x: Any) -> Any:
     """Return the nearest integer, ties to even, as a float (not available for CasADi expressions).
 
