@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from scipy import signal
 
 from ...arrays import Array
 from ...dynamics.motion_forces import law_torques
-from ...machine import Machine
+from ...machine import Drive, Machine
 from ...preparation.dataset import Dataset, PreparedRecording
 from ..predict.prediction import SEARCH_BANDWIDTH, predict
 from .missing_force import low_pass
@@ -50,13 +52,15 @@ def variables_of_motion(
         - Of each coordinate C, with u for m or rad: "position of C" (u), "velocity of C" (u/s), "acceleration
           of C" (u/s^2) below 30 Hz, "path of C" (u), the distance traveled since the start of the run, and
           "dwell of C" (s), the age of its contacts.
-        - Of each drive D: "current of D" (A), (voltage - back-EMF) / resistance, without the inductance;
-          "heat of D" (A^2), the mean of its square over the last seconds; "load of D" (N or Nm), the drive's
-          force minus what accelerates its coordinate and overcomes its friction; "impulse of D" (Ns or Nms),
-          the integral of the load. Of a drive with a law, such as one that follows a set point,
-          the torque, Nm, stands for the current, also in the sums, so that these have other units.
-        - Sums over the drives: "current of drives" (A), "power of drives" (W), "load of drives" (N or Nm),
-          and "tension rate of belts" (N/s or Nm/s), the derivative of that load below 30 Hz.
+        - Of each drive D: "current of D" (A), (voltage - back-EMF) / resistance, without the inductance, or,
+          of a drive that does not command a current or voltage, "torque of D" (Nm), that of the motor shaft
+          (`motor_variable`); "heat of D" (A^2 or (Nm)^2), the mean of its square over the last seconds; "load
+          of D" (N or Nm), the drive's force minus what accelerates its coordinate and overcomes its friction;
+          "impulse of D" (Ns or Nms), the integral of the load.
+        - Sums over the drives: "current of drives" (A) and "torque of drives" (Nm), of those drives that have
+          one; "power of drives" (W), electrical where the voltage is the command, otherwise mechanical; "load
+          of drives" (N or Nm), and "tension rate of belts" (N/s or Nm/s), the derivative of that load below
+          30 Hz.
         - Each input channel, in its unit; "time", that of the recording's clock, and "time in the run" (s).
     """
     names, period = machine.coordinate_names, data.period
@@ -69,32 +73,37 @@ def variables_of_motion(
         variables[f"acceleration of {name}"] = accelerations[:, i]
         variables[f"path of {name}"] = np.cumsum(speed) * period
         variables[f"dwell of {name}"] = _contact_age(speed * machine.travel_per_unit[i], period)
-    power, rate, loads, currents = np.zeros((4, len(run.time_s)))
+    power, rate, loads = np.zeros((3, len(run.time_s)))
     torques = law_torques(machine, run.time_s, positions, velocities, run.inputs)
     kept = np.exp(-period / _HEAT_S)  # fraction of the heat after one row
     for j, drive in enumerate(machine.drives):
         i = names.index(drive.coordinate)
         coordinate = machine.coordinates[i]
         if drive.law:
-            current = torques[:, j]  # Nm, in place of A
-            force = drive.gear_ratio * current
+            motor = torques[:, j]
+            force = drive.gear_ratio * motor
         else:
-            current = (run.inputs[:, j] - drive.emf_constant * velocities[:, i]) / drive.resistance
-            force = drive.gain * drive.resistance * current
+            motor = (run.inputs[:, j] - drive.emf_constant * velocities[:, i]) / drive.resistance
+            force = drive.gain * drive.resistance * motor
         load = force - coordinate.mass * accelerations[:, i] - coordinate.viscous * velocities[:, i]
         load -= coordinate.coulomb * smooth_sign(velocities[:, i])
         variables[machine.input_channels[j]] = run.inputs[:, j]
-        variables[f"current of {drive.name}"] = current
-        variables[f"heat of {drive.name}"] = signal.lfilter([1.0 - kept], [1.0, -kept], current**2)
+        of_motor = motor_variable(drive)
+        variables[f"{of_motor} of {drive.name}"] = motor
+        variables[f"heat of {drive.name}"] = signal.lfilter([1.0 - kept], [1.0, -kept], motor**2)
         variables[f"load of {drive.name}"] = load
         variables[f"impulse of {drive.name}"] = np.cumsum(load) * period
         loads += load
-        power += run.inputs[:, j] * current
-        currents += current
+        power += run.inputs[:, j] * motor if drive.command == "voltage" else force * velocities[:, i]
+        variables[f"{of_motor} of drives"] = motor + variables.get(f"{of_motor} of drives", 0.0)
         rate += np.gradient(low_pass(load[:, None], period)[:, 0], run.time_s)
-    variables |= {"current of drives": currents, "power of drives": power, "load of drives": loads}
-    variables["tension rate of belts"] = rate
+    variables |= {"power of drives": power, "load of drives": loads, "tension rate of belts": rate}
     return variables | {"time": run.time_s, "time in the run": run.time_s - run.time_s[0]}
+
+
+def motor_variable(drive: Drive) -> Literal["current", "torque"]:
+    """Return what is known of a drive's motor: of servos, steppers and torque drives, the torque."""
+    return "current" if drive.command in ("voltage", "current") else "torque"
 
 
 def smooth_sign(velocity: Array) -> Array:

@@ -39,7 +39,7 @@ class CauseEvidence:
         certain: `explained` minus its standard error.
         fraction: Explained fraction of the sum of squares beyond noise, in all pieces.
         beyond_noise: Sum of squares beyond noise.
-        plain: Whether the variable is a position, a velocity or a current.
+        plain: Whether the variable is a position, a velocity, a current or a motor's torque.
         constant: Whether the cause is a constant force, which depends on no variable.
     """
 

@@ -19,7 +19,7 @@ from scipy import signal
 
 from ...arrays import Array
 from ...machine import Machine
-from ..forces.motion_variables import smooth_sign
+from ..forces.motion_variables import motor_variable, smooth_sign
 from .cause_comparison import Cause, CauseComparison, Columns, Signals
 
 CONSTANT = "constant"  # in the place of a variable: a force that depends on nothing
@@ -95,14 +95,14 @@ def _causes_on_coordinate(machine: Machine, comparison: CauseComparison, i: int)
 
 
 def _causes_by_drive(machine: Machine, comparison: CauseComparison, j: int) -> Iterator[Cause]:
-    """Yield causes that are forces of drive j: current and voltage errors, heat, and ripple of the torque."""
+    """Yield causes that are forces of drive j: errors of current and command, heat, ripple of the torque."""
     signals, drive, volts = comparison.signals, machine.drives[j], machine.input_channels[j]
     i = machine.coordinate_names.index(drive.coordinate)
-    amps, heat = f"current of {drive.name}", f"heat of {drive.name}"
+    of_motor, heat = f"{motor_variable(drive)} of {drive.name}", f"heat of {drive.name}"
     position, speed = f"position of {drive.coordinate}", f"velocity of {drive.coordinate}"
-    current = signals[amps][:, None]
+    current = signals[of_motor][:, None]  # or, in proportion to it, the torque
     causes = {
-        amps: _curve(signals[amps], _KNOTS),
+        of_motor: _curve(signals[of_motor], _KNOTS),
         volts: _curve(signals[volts], _KNOTS),
         heat: current * _polynomial(signals[heat]),
         "time in the run": current * _polynomial(signals["time in the run"]),
@@ -117,11 +117,13 @@ def _changes_by_supply(machine: Machine, signals: Signals, j: int) -> dict[str, 
 
     Torque saturates over the current; the voltage of the supply sags with the power.
     """
-    current = signals[f"current of {machine.drives[j].name}"][:, None]
-    volts = signals[machine.input_channels[j]][:, None]
+    drive = machine.drives[j]
+    of_motor = motor_variable(drive)
+    current = signals[f"{of_motor} of {drive.name}"][:, None]
+    supplied = signals[machine.input_channels[j]][:, None] if drive.command == "voltage" else current
     return {
-        "current of drives": np.hstack([current * np.abs(current), current**3]),
-        "power of drives": volts * _polynomial(signals["power of drives"]),
+        f"{of_motor} of drives": np.hstack([current * np.abs(current), current**3]),
+        "power of drives": supplied * _polynomial(signals["power of drives"]),
     }
 
 

@@ -29,7 +29,8 @@ from .causes import CONSTANT, causes_of_disagreement, causes_of_force
 _ROUNDING_FORCE = 1e-9
 _FORCE_HZ = 150.0  # rate at which forces below 30 Hz are compared
 _DISAGREEMENT_HZ = 500.0  # rate at which the sensors are compared, whose noise needs no filter
-_PLAIN = ("position", "velocity", "current")  # variables that come before others which explain about as much
+# Variables that come before others which explain about as much.
+_PLAIN = ("position", "velocity", "current", "torque")
 
 
 class Dependence(NamedTuple):

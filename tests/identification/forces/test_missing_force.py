@@ -20,9 +20,24 @@ from hframe_gym.identification.propose.causes import _curve
 from hframe_gym.identification.propose.dependences import rank_dependences
 from hframe_gym.identification.propose.periodogram import periodogram_peaks
 from hframe_gym.identification.report.plots.panels import _with_unit
-from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine
+from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Coordinate, Drive, Machine, Sensor
 from hframe_gym.preparation.session import prepare
 from hframe_gym.recordings import Recording
+from tests.drives.test_set_point import SERVOS, servo_machine
+
+
+def one_motor(kind: str) -> Machine:
+    """Return a shaft behind a gear of 3, which a drive of a kind without a law moves."""
+    shaft = Coordinate("shaft", 2e-4, 1e-4, 0.004, "rotary", 0.01)
+    sensor = Sensor("phi_rad", {"shaft": 1.0}, 0.0, 2 * np.pi / 4096, "encoder")
+    electrical = {"voltage": (0.02, 0.02, 1.5), "current": (0.02, 0.0, 1.0), "torque": (1.0, 0.0, 1.0)}[kind]
+    return Machine(
+        "one motor",
+        (shaft,),
+        (),
+        (Drive("motor", "u", "shaft", *electrical, 3.0, 5.0, kind=kind),),
+        (sensor,),
+    )
 
 
 @pytest.mark.parametrize("axis", ["x", "y"])
@@ -181,6 +196,35 @@ def test_every_cause_has_a_variable_with_a_unit_that_the_report_can_draw(hframe:
         "Nm",
     )
     assert all(units[name] != name for name in variables if not name.startswith("v"))
+
+
+@pytest.mark.parametrize(
+    ("machine", "of_motor", "unit", "unit_of_heat"),
+    [
+        (servo_machine("position", SERVOS["position"]), "torque", "Nm", "(Nm)^2"),
+        (one_motor("torque"), "torque", "Nm", "(Nm)^2"),
+        (one_motor("current"), "current", "A", "A^2"),
+        (one_motor("voltage"), "current", "A", "A^2"),
+    ],
+)
+def test_a_torque_is_no_current_and_power_is_in_watts(
+    machine: Machine, of_motor: str, unit: str, unit_of_heat: str
+) -> None:
+    """A servo's law and a torque drive know the torque of the shaft only; a current has a torque as well."""
+    time_s = np.arange(400) * 5e-3
+    command = np.sign(np.sin(8.0 * time_s))[:, None]
+    readings = simulate_batch(machine, time_s, command).readings[0]
+    data = prepare([Recording("run_01", time_s, command, readings)], machine)
+    variables = dependence_variables(machine, data.runs[0], data)
+    expected = {f"{of_motor} of motor": unit, f"{of_motor} of drives": unit, "heat of motor": unit_of_heat}
+    shown = {name: _with_unit(name, machine).rpartition(", ")[2] for name in variables}
+    assert {name: shown[name] for name in shown if name.startswith(("current", "torque", "heat"))} == expected
+    drive, motor, speed = machine.drives[0], variables[f"{of_motor} of motor"], variables["velocity of shaft"]
+    if drive.command == "voltage":
+        power = command[:, 0] * motor
+    else:
+        power = drive.Kt * drive.gear_ratio * motor * speed
+    np.testing.assert_allclose(variables["power of drives"], power)
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from ....effects.smooth_table import TABLE_FAMILY
 from ....files import remove_file
 from ....machine import AppliedEffect, Machine
 from ....web_page import Panel, color, extreme_rows, legend_above, number, save_panels
+from ...forces.motion_variables import motor_variable
 from ..content.document import Report, compared_machines
 from ..content.result_curves import MissingForce, ResultCurves, RunCurves
 from ..units import readable_unit
@@ -27,7 +28,7 @@ _MEAN_BINS = 40  # Points of the mean curve through the residual force.
 _MAX_DOTS = 1000  # Points of the residual force that a panel shows of each machine.
 # Intervals of a curve over time, of which a panel shows the smallest and the largest value.
 _MAX_BUCKETS = 350
-_UNITS_ANYWHERE = {"current": "A", "heat": "A^2", "power": "W", "dwell": "s"}
+_UNITS_ANYWHERE = {"current": "A", "torque": "Nm", "power": "W", "dwell": "s"}
 _QUANTITIES = {  # of a variable: quantity of the coordinate, and what follows its unit
     "velocity": ("speed", ""),
     "path": ("position", ""),
@@ -234,6 +235,8 @@ def _with_unit(variable: str, machine: Machine) -> str:
         return f"{what}, s" if what in ("time", "time in the run") else what
     if what in _UNITS_ANYWHERE:
         return f"{variable}, {_UNITS_ANYWHERE[what]}"
+    if what == "heat":
+        return f"{variable}, {'A^2' if motor_variable(machine.drive(name)) == 'current' else '(Nm)^2'}"
     of_drive = {drive.name: drive.coordinate for drive in machine.drives}
     first = machine.drives[0].coordinate if machine.drives else machine.coordinate_names[0]
     coordinate = machine.coordinate(name if name in machine.coordinate_names else of_drive.get(name, first))

@@ -37,6 +37,7 @@ _MOTIONS = {  # by the quantity of a variable: the run that shows a dependence o
     "path": "repeat the same motion for several minutes without a pause",
     "acceleration": "accelerate {} with several {commands} from the same place, in both directions",
     "current": "accelerate {} with {commands} from small ones to the largest, in both directions",
+    "torque": "accelerate {} with {commands} from small ones to the largest, in both directions",
     "load": "accelerate {} with {commands} from small ones to the largest, in both directions",
     "heat": "begin cold, and repeat the same motion until its error does not change any more",
     "time": "begin cold, and repeat the same motion until its error does not change any more",
