@@ -13,8 +13,9 @@ import numpy as np
 
 from ..arrays import Array
 from ..identification import Dataset
-from ..machine import Machine
+from ..machine import Machine, Sensor
 from ..preparation.forces.force_balance import EXPLAINED, Balance
+from ..preparation.sensors.noise import sensor_quantum
 from .findings import Finding, channel_unit
 from .span_motion import MIN_ROWS, SpanMotion, correlation, span_motion
 from .time_unit import check_time_unit
@@ -30,6 +31,7 @@ _NEAR_UNIT = 1.5
 _CONTRADICTION = 4.0
 # Factor between measured and expected, beyond that of a unit, that a machine file may cause.
 _UNIT_TOLERANCE = 2.0
+_STEP_TOLERANCE = 0.05  # relative error of a step that is found from the differences between rows
 _CAUSE = "is its unit or gain wrong, or are the file's masses and motor constants guesses?"
 _LESS_VOLTAGE = "is it blocked, or does less than the recorded voltage act (amplifier limit, emergency stop)?"
 # Suspected unit by the unit of the channel: value per m or rad, and its name.
@@ -96,8 +98,14 @@ def _units(motion: SpanMotion, data: Dataset, machine: Machine, balance: Balance
         ):
             continue
         prediction = rigid_prediction(motion.measured, j, machine)
+        steps = _steps(sensor, data, j)
         if prediction is None:
-            certain = suspect is not None and _is_extreme(factor) and _agrees(balance, suspect[0])
+            certain = (
+                suspect is not None
+                and _is_extreme(factor)
+                and _agrees(balance, suspect[0])
+                and not _same_step(steps, 1.0)
+            )
         else:
             both = np.isfinite(motion.measured[:, j]) & np.isfinite(prediction[0])
             expected = float(np.std(prediction[0][both])) if both.any() else 0.0
@@ -105,13 +113,22 @@ def _units(motion: SpanMotion, data: Dataset, machine: Machine, balance: Balance
             certain = not 1 / _CONTRADICTION < ratio < _CONTRADICTION
             if not certain and not _is_extreme(factor):
                 continue  # other sensors agree with it
-        message = _describe_factor(factor, suspect, unit, data)
+        message = _describe_factor(factor, suspect, unit, data, steps)
         findings.append(Finding("fault" if certain else "advice", "", sensor.channel, message))
     return findings
 
 
-def _describe_factor(factor: float, suspect: tuple[float, str] | None, unit: str, data: Dataset) -> str:
-    """Return a sentence about a channel that moves faster or slower than simulated."""
+def _describe_factor(
+    factor: float, suspect: tuple[float, str] | None, unit: str, data: Dataset, steps: float
+) -> str:
+    """Return a sentence about a channel that moves faster or slower than simulated.
+
+    Args:
+        factor: Measured over simulated speed, dimensionless.
+        suspect: Value per m or rad and name of the unit that the column may have.
+        unit: Declared unit.
+        steps: Steps of the column over the declared resolution, dimensionless; 0 if unknown.
+    """
     if not suspect:
         if factor < 1:
             slower = f"{float(f'{1 / factor:.2g}'):,.{0 if factor < 0.1 else 1}f}"
@@ -121,10 +138,28 @@ def _describe_factor(factor: float, suspect: tuple[float, str] | None, unit: str
     value, name = suspect
     speed = f"{factor:.3g} times as fast as" if factor > 1 else f"{1 / factor:.3g} times slower than"
     where = f" in all {len(data.runs)} runs" if len(data.runs) > 1 else ""
-    return (
-        f"moves {speed} the machine simulates{where}: is the column in {name}, not in {unit}? Then multiply "
-        f"it by {1 / value:.4g}; otherwise a gain, a mass or a gear ratio of the machine file is wrong"
-    )
+    of_file = "a gain, a mass or a gear ratio of the machine file is wrong"
+    moves = f"moves {speed} the machine simulates{where}"
+    if _same_step(steps, 1.0):
+        return (
+            f"{moves}, and its steps are those of the declared resolution, in {unit}: {of_file}; "
+            f"the column may be in {name} only if that resolution is wrong as well"
+        )
+    multiply = f"multiply it by {1 / value:.4g}"
+    if _same_step(steps, value):
+        multiply += ", which makes its steps those of the declared resolution"
+    return f"{moves}: is the column in {name}, not in {unit}? Then {multiply}; otherwise {of_file}"
+
+
+def _steps(sensor: Sensor, data: Dataset, j: int) -> float:
+    """Return the steps of a column over the declared resolution; 0 if one of them is unknown."""
+    steps = sensor_quantum([run.outputs[:, j] for run in data.runs], 0.0)
+    return steps / sensor.resolution if sensor.resolution > 0.0 else 0.0
+
+
+def _same_step(steps: float, value: float) -> bool:
+    """Return whether steps over the declared resolution are those of a unit with a value per m or rad."""
+    return abs(steps - value) < _STEP_TOLERANCE * value
 
 
 def _is_extreme(factor: float) -> bool:

@@ -53,14 +53,42 @@ def test_right_units_are_not_suspected() -> None:
     assert check_before_fit(motor_runs(1.0), motor()) == []
 
 
+def without_resolution() -> Machine:
+    machine = motor()
+    return dataclasses.replace(machine, sensors=(dataclasses.replace(machine.sensors[0], resolution=0.0),))
+
+
 def test_turns_are_suspected_but_may_be_a_wrong_gain() -> None:
-    [advice] = of_channel(check_before_fit(motor_runs(1 / TURN), motor()), "angle_rad")
+    [advice] = of_channel(check_before_fit(motor_runs(1 / TURN), without_resolution()), "angle_rad")
     assert advice.severity == "advice"
     assert (
         "slower than the machine simulates in all 3 runs: is the column in turns, not in rad?"
         in advice.message
     )
     assert "Then multiply it by 6.283; otherwise a gain" in advice.message
+
+
+def test_steps_of_the_declared_resolution_tell_turns_from_a_wrong_gear() -> None:
+    """A gear of 2 pi before the encoder moves it as far as turns, but by steps of the declared resolution."""
+    [turns] = of_channel(check_before_fit(motor_runs(1 / TURN), motor()), "angle_rad")
+    assert "multiply it by 6.283, which makes its steps those of the declared resolution" in turns.message
+    geared = []
+    for run in motor_runs(1 / TURN):
+        steps = np.round(run.outputs / 1.5e-3) * 1.5e-3
+        geared.append(dataclasses.replace(run, outputs=steps))
+    [gear] = of_channel(check_before_fit(geared, motor()), "angle_rad")
+    assert gear.severity == "advice"
+    assert "its steps are those of the declared resolution, in rad: a gain, a mass or a gear" in gear.message
+    assert "Then multiply" not in gear.message
+
+
+def test_degrees_with_steps_of_the_declared_resolution_are_no_fault() -> None:
+    """A gear ratio that is wrong by 57 explains them as well."""
+    machine = motor()
+    coarse = dataclasses.replace(machine.sensors[0], resolution=1.5e-3 * 360.0 / TURN)
+    findings = check_before_fit(motor_runs(360.0 / TURN), dataclasses.replace(machine, sensors=(coarse,)))
+    [advice] = of_channel(findings, "angle_rad")
+    assert advice.severity == "advice"
 
 
 def test_a_motion_that_a_spring_restrains_is_not_in_turns() -> None:
