@@ -173,11 +173,15 @@ def plain_name(name: str) -> str:
 def headers_text(columns: Sequence[LogColumn]) -> str:
     """List the headers of columns for a message, with units from a row of units.
 
-    Only count those beyond 200.
+    Columns of joined files are listed with their file, if not all are of one file. Only count those beyond
+    200.
     """
-    listed = [
-        c.header if c.name != c.header or not c.unit else f"{c.header} [{c.unit}]" for c in columns[:_LISTED]
-    ]
+    several = len({column.file for column in columns}) > 1
+    listed = []
+    for column in columns[:_LISTED]:
+        units = f" [{column.unit}]" if column.name == column.header and column.unit else ""
+        file = f" (of {column.file})" if several and column.file else ""
+        listed.append(f"{column.header}{units}{file}")
     more = [f"and {len(columns) - _LISTED} more"] if len(columns) > _LISTED else []
     return ", ".join([*listed, *more])
 

@@ -64,6 +64,16 @@ def test_the_same_names_in_both_files_get_numbers(tmp_path: Path) -> None:
     np.testing.assert_allclose(run.outputs[:, 0], SPEED)
 
 
+def test_a_message_tells_which_file_has_a_column(tmp_path: Path) -> None:
+    """MATLAB exports often call their variable `data` in each file."""
+    files = [tmp_path / "speed.mat", tmp_path / "voltage.mat"]
+    for path, values in zip(files, (SPEED, VOLTS), strict=True):
+        scipy.io.savemat(path, {"data": {"Time": TIME, "Data": values}})
+    with pytest.raises(InputError, match="no column is named like") as error:
+        join(*files, columns={})
+    assert "data.Data, data.Time.2 (of voltage.mat), data.Data.2 (of voltage.mat)" in str(error.value)
+
+
 def test_a_joined_file_in_the_folder_is_no_log_of_its_own(tmp_path: Path) -> None:
     folder = tmp_path / "logs"
     folder.mkdir()
