@@ -10,8 +10,10 @@ functions and use constants of their module.
 
 from __future__ import annotations
 
+import builtins
 import dataclasses
 import difflib
+import dis
 import inspect
 import math
 import re
@@ -254,7 +256,8 @@ class Effect:
 
     Raises:
         InputError: If an argument of a hook is neither a parameter nor a quantity of the hook, or is both, if
-            a unit misspells the name of a quantity, if the kind of site is unknown, or if there is no hook.
+            the body of a hook uses a name that is not defined, if a unit misspells the name of a quantity, if
+            the kind of site is unknown, or if there is no hook.
     """
 
     name: str
@@ -332,6 +335,18 @@ class Effect:
                         f"{hook} is neither a parameter ({', '.join(parameters)}) "
                         f"nor a quantity of {hook} ({', '.join(quantities) or 'none'})"
                     )
+            self._check_names(hook, function)
+
+    def _check_names(self, hook: str, function: Callable[..., Any] | None) -> None:
+        """Refuse a formula whose body uses a name that neither Python nor its module knows."""
+        for name in _undefined_names(function):
+            known = [*(p.name for p in self.parameters), *HOOKS[hook]]
+            hint = "; make it an argument" if name in known else suggestion(name, known)
+            raise InputError(
+                f"effect {self.name}: the formula {hook} uses {name}, which is not defined{hint} "
+                f"(the arguments of {hook} may be its parameters {', '.join(known[: len(self.parameters)])} "
+                f"and the quantities {', '.join(HOOKS[hook]) or 'none'})"
+            )
 
     def _check_unit(self, parameter: EffectParameter) -> None:
         """Refuse a misspelled name of a quantity, and one inside a unit, which would count as a unit."""
@@ -527,6 +542,18 @@ def _declared_belts(machine: Components) -> tuple[str, ...]:
     """Return the names of a machine's belts without the contacts that effects added."""
     added = {effect.added_belt for effect in machine.effects}
     return tuple(b.name for b in machine.belts if b.name not in added)
+
+
+def _undefined_names(function: Callable[..., Any] | None) -> list[str]:
+    """Return the global names in the body of a Python function that are not defined."""
+    code, defined = getattr(function, "__code__", None), getattr(function, "__globals__", {})
+    if code is None:
+        return []  # no formula, or a callable that Python did not compile
+    unknown = [n for n in code.co_names if n not in defined and not hasattr(builtins, n)]
+    if not unknown:
+        return []  # attributes are names as well; only where one is unknown, instructions are read, slowly
+    read = {i.argval for i in dis.get_instructions(code) if i.opname == "LOAD_GLOBAL"}
+    return [name for name in unknown if name in read]
 
 
 @lru_cache(maxsize=1024)

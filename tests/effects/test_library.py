@@ -69,10 +69,21 @@ def test_every_parameter_is_used(effect: Effect) -> None:
     [
         ("m", lambda q, m: -m * q, "parameter m has the name of a quantity of the formula force"),
         ("c", lambda p, c: -c * p, r"argument p of the formula force is neither a parameter \(c\) nor"),
+        (
+            "rate",
+            lambda v, rate: -raet * v,  # type: ignore[name-defined]  # noqa: F821
+            r"the formula force uses raet, which is not defined; did you mean 'rate'\? .*parameters rate and "
+            r"the quantities .*\bq, v\b",
+        ),
+        (
+            "c",
+            lambda c: -c * v,  # type: ignore[name-defined]  # noqa: F821
+            "force uses v, which is not defined; make it an argument",
+        ),
     ],
 )
-def test_an_argument_means_one_thing(parameter: str, force: Callable[..., Any], message: str) -> None:
-    """A parameter must not hide a quantity, and a misspelled quantity is refused with the definition."""
+def test_a_name_means_one_thing(parameter: str, force: Callable[..., Any], message: str) -> None:
+    """A parameter must not hide a quantity; misspelled names are refused with the definition."""
     with pytest.raises(InputError, match=message):
         Effect(
             name="mistaken",
@@ -83,6 +94,17 @@ def test_an_argument_means_one_thing(parameter: str, force: Callable[..., Any], 
             force=force,
             parameters=(EffectParameter(parameter, "1", 0.0, 1.0, scale=1.0),),
         )
+
+
+def test_a_formula_may_use_attributes_and_names_of_its_module_and_of_python() -> None:
+    Effect(
+        name="drag",
+        site="coordinate",
+        formula="",
+        source="",
+        force=lambda v, c: -c * np.sign(v) * abs(v),
+        parameters=(EffectParameter("c", "1", 0.0, 1.0, scale=1.0),),
+    )
 
 
 @pytest.mark.parametrize(
