@@ -438,7 +438,7 @@ def _silences(recording: Recording, machine: Machine) -> list[Finding]:
 def _moves(recording: Recording, data: Dataset, machine: Machine) -> bool:
     """Return whether any channel moves by more than its noise and quantum, or shows a steady speed."""
     moved = peak_to_peak(recording.outputs) > np.maximum(NOISE_SPAN * data.noise, 2 * data.quantum)
-    return bool(moved.any()) or turns_steadily(recording.outputs, data.noise, data.quantum, machine)
+    return bool(moved.any()) or turns_steadily(recording.outputs, data.noise, machine)
 
 
 def _outliers(recording: Recording, cleaned: Recording, machine: Machine) -> list[Finding]:

@@ -116,3 +116,16 @@ def test_a_run_at_a_constant_speed_moves_and_copies_are_told() -> None:
     findings = check_recordings([*runs, copy], machine)
     assert [f.run for f in findings if "nothing moves" in f.message] == ["blocked"]
     assert [f.run for f in findings if "is a copy of started" in f.message] == ["the copy"]
+
+
+def test_a_constant_speed_of_a_few_counts_is_motion() -> None:
+    """A speed of 230 rad/s in steps of 37 rad/s is no offset of the sensor."""
+    machine = motor(position=False)
+    started = run(machine, (0.0, 12.0, 12.0), "started")
+    step = np.nanmedian(started.outputs[500:]) / 6.2
+    counts = np.random.default_rng(0).uniform(0.0, 1.0, started.outputs.shape)
+    coarse = dataclasses.replace(started, outputs=step * np.floor(started.outputs / step + counts))
+    steady = Recording("steady", coarse.time_s[500:], coarse.inputs[500:], coarse.outputs[500:])
+    blocked = dataclasses.replace(steady, name="blocked", outputs=0.0 * steady.outputs)
+    runs = [coarse, steady, blocked]
+    assert runs_that_should_move(prepare(runs, machine), machine, ["started"]) == {"blocked": "started"}

@@ -10,12 +10,14 @@ from ...arrays import Array
 from ...machine import Machine
 from ...recordings import Recording
 from ..dataset import Dataset, PreparedRecording
-from ..sensors.noise import difference_noise
+from ..sensors.noise import scatter_noise, sensor_quantum
 
 _NORMAL_SPAN = 4.65  # standard deviations of noise between its 1st and 99th percentile
 _MOVES = 0.01  # fraction of a sensor's largest span in all runs; with less, the error of a run says nothing
 _NO_NOISE = 0.5  # fraction of a span that noise does not explain
-_STEADY_SPEED = 10.0  # times the noise or step of a sensor of speeds; an offset at standstill is smaller
+# Times the noise of a sensor of speeds, which is at least its rounding error, so that it is three steps here;
+# an offset at standstill is smaller.
+_STEADY_SPEED = 10.0
 
 
 def moving_runs(recordings: Sequence[Recording]) -> tuple[str, ...]:
@@ -33,9 +35,8 @@ def moving_runs(recordings: Sequence[Recording]) -> tuple[str, ...]:
             measured = values[np.isfinite(values)]
             if len(measured):
                 spans[i, j] = np.ptp(np.percentile(measured, [1, 99]))
-                moves[i, j] = (
-                    max(spans[i, j] ** 2 - (_NORMAL_SPAN * difference_noise([measured])) ** 2, 0.0) ** 0.5
-                )
+                noise = scatter_noise(measured, sensor_quantum([measured], 0.0))
+                moves[i, j] = max(spans[i, j] ** 2 - (_NORMAL_SPAN * noise) ** 2, 0.0) ** 0.5
     moving = (moves > _MOVES * spans.max(axis=0)) & (moves > _NO_NOISE * spans)
     return tuple(r.name for r, moves in zip(recordings, moving.any(axis=1), strict=True) if moves)
 
@@ -69,25 +70,20 @@ def runs_that_should_move(data: Dataset, machine: Machine, moving: Sequence[str]
     found = {}
     for run in data.runs:
         weaker = [name for name, size in started.items() if np.all(size <= sizes(run))]
-        if (
-            weaker
-            and run.name not in moving
-            and not turns_steadily(run.outputs, data.noise, data.quantum, machine)
-        ):
+        if weaker and run.name not in moving and not turns_steadily(run.outputs, data.noise, machine):
             found[run.name] = weaker[0]
     return found
 
 
-def turns_steadily(outputs: Array, noise: Array, quantum: Array, machine: Machine) -> bool:
+def turns_steadily(outputs: Array, noise: Array, machine: Machine) -> bool:
     """Return whether a speed sensor measures a nonzero speed in a run, even if it is constant.
 
     Args:
         outputs: Measurements of the run, in the channels' units, NaN where not measured, shape (n, sensors).
         noise: Noise of the sensors, in the same units, shape (sensors,).
-        quantum: Quantization steps of the sensors, in the same units, shape (sensors,).
     """
     typical = np.array(
         [np.median(values[np.isfinite(values)]) if np.isfinite(values).any() else 0.0 for values in outputs.T]
     )
     of_speed = np.array([sensor.quantity == "speed" for sensor in machine.sensors])
-    return bool(np.any(of_speed & (np.abs(typical) > _STEADY_SPEED * np.maximum(noise, quantum))))
+    return bool(np.any(of_speed & (np.abs(typical) > _STEADY_SPEED * noise)))

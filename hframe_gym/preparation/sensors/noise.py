@@ -111,6 +111,24 @@ def difference_noise(channel: Sequence[Array]) -> float:
     return max(white_noise(measured, 3), 1e-12)
 
 
+def scatter_noise(values: Array, quantum: float) -> float:
+    """Estimate a sensor's noise from a few measurements of one run, with or without motion.
+
+    A speed that is counted in steps alternates between two neighbors while it is constant, and the median of
+    third differences is then twice as large as this error: deviations from a smooth curve replace them if
+    they are smaller.
+
+    Args:
+        values: Measurements, m or rad, shape (n,), NaN where not measured.
+        quantum: Quantization step of the sensor, m or rad; 0 if there is none.
+
+    Returns:
+        Standard deviation, m or rad.
+    """
+    by_differences = difference_noise([values])
+    return min(by_differences, _curve_noise([values])) if quantum > 0.0 else by_differences
+
+
 def _kink_noise(channel: Sequence[Array]) -> float:
     """Estimate the noise, m or rad, of a measurement that consists of straight lines; 0 for any other.
 

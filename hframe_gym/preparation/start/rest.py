@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ...arrays import Array
 from ...machine import Machine, Sensor
 from ...recordings import Recording, peak_to_peak
-from ..sensors.noise import difference_noise, sensor_noise, sensor_quantum
+from ..sensors.noise import scatter_noise, sensor_noise, sensor_quantum
 
 _MIN_ROWS = 16  # Fewer rows are not divided into blocks, and do not show rest after motion.
 # Medians of blocks of rows are compared: a median of 10 ms has little noise, and eight of them show a trend.
@@ -212,8 +212,10 @@ def measurement_noise(values: Array, run_values: Array, sensor: Sensor) -> float
     Returns:
         Standard deviation of the noise, m or rad.
     """
-    rounding = sensor_quantum([run_values], sensor.resolution) / np.sqrt(12)
-    return max(difference_noise([values]), rounding, sensor.noise)
+    quantum = sensor_quantum([run_values], sensor.resolution)
+    # A position passes through its steps, where a speed stays between two of them.
+    scatter = scatter_noise(values, quantum if sensor.of_velocity else 0.0)
+    return max(scatter, quantum / np.sqrt(12), sensor.noise)
 
 
 def _medians(outputs: Array) -> Array:

@@ -11,6 +11,7 @@ import pytest
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import simulate_recording
 from hframe_gym.machine import Machine, Sensor
+from hframe_gym.preparation.runs.moving import moving_runs
 from hframe_gym.preparation.start.belt_stretch import rigid_basis, stretch_angles
 from hframe_gym.preparation.start.initial_velocity import InitialVelocity, initial_velocity
 from hframe_gym.preparation.start.measured_state import estimate_initial_state
@@ -116,6 +117,30 @@ def test_a_declared_machine_that_is_far_too_light_does_not_hide_the_initial_velo
     declared, recording = motor_run(kind, speed)
     velocity = estimate_initial_state(recording, declared).velocity[0]
     assert velocity == pytest.approx(speed, abs=0.05 * abs(speed))
+
+
+def counted_speed(speed: float, seconds: float, seed: int) -> tuple[Machine, Recording]:
+    """Return a motor and a run from a speed to 4.9 rad/s, whose tachometer has steps of 0.748 rad/s."""
+    declared = load_machine("motor")
+    declared = declared.replace(sensors=(Sensor("shaft_rad_s", {"shaft": 1.0}, noise=0.0, kind="speed"),))
+    time_s = np.arange(500) * 6e-3
+    motion = 4.9 + (speed - 4.9) * np.exp(-time_s / seconds)
+    phases = np.random.default_rng(seed).uniform(0.0, 1.0, 500)
+    counted = 0.748 * np.floor(motion / 0.748 + phases)
+    return declared, Recording("cut", time_s, np.full((500, 1), 7.2), counted[:, None])
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.parametrize("speed", [2.24, 0.0])
+def test_a_speed_in_coarse_steps_shows_the_initial_velocity(speed: float, seed: int) -> None:
+    """A speed of counts per interval alternates between two neighbors if it is constant: no large noise."""
+    declared, recording = counted_speed(speed, 0.03, seed)
+    assert estimate_initial_state(recording, declared).velocity[0] == pytest.approx(speed, abs=0.3)
+
+
+def test_a_run_of_a_few_steps_of_the_speed_moves() -> None:
+    assert moving_runs([counted_speed(2.24, 0.1, 2)[1]]) == ("cut",)
+    assert moving_runs([counted_speed(4.9, 0.1, 2)[1]]) == ()
 
 
 @pytest.mark.parametrize("speed", [200.0, 100.0])
