@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import sys
 import time
@@ -191,7 +192,20 @@ def _check_and_identify(
     budget = Budget(seconds, spent=spent, afterwards=_REPORT_S, progress=progress)
     findings = check_recordings_before_fit(recordings, machine, None if force else folder, log)
     with finishing_on_interrupt(budget) if progress else nullcontext():  # of several rigs, Ctrl-C ends all
-        return run_identification(recordings, machine, held_out=hold_out, log=log, budget=budget), findings
+        result = run_identification(recordings, machine, held_out=hold_out, log=log, budget=budget)
+    return _with_late_currents(result, recordings, machine), findings
+
+
+def _with_late_currents(
+    result: IdentificationResult, recordings: Sequence[Recording], machine: Machine
+) -> IdentificationResult:
+    """Return a result that names the currents which may have made the log look slower than its controller."""
+    from ..data_validation import currents_after_their_voltage
+
+    if (unknown := result.unknown_voltages) is None:
+        return result
+    late = list(currents_after_their_voltage(recordings, machine))
+    return dataclasses.replace(result, unknown_voltages=unknown.model_copy(update={"late_currents": late}))
 
 
 def _write_rig(

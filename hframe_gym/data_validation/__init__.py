@@ -5,6 +5,7 @@ a message.
 """
 
 from .checks import check_before_fit, check_recordings
+from .current_timing import currents_after_their_voltage
 from .findings import Finding, group_findings, print_findings, refuse_faults, write_findings
 from .identifiability import CramerRaoBound, cramer_rao_bounds
 
@@ -14,6 +15,7 @@ __all__ = [
     "check_before_fit",
     "check_recordings",
     "cramer_rao_bounds",
+    "currents_after_their_voltage",
     "group_findings",
     "print_findings",
     "refuse_faults",

@@ -34,6 +34,28 @@ def check_currents(recordings: Sequence[Recording], machine: Machine) -> list[Fi
         that the mistake is not certain.
     """
     findings = []
+    for channel, (command, own, earlier) in currents_after_their_voltage(recordings, machine).items():
+        message = (
+            f"responds more to {command} of its own row ({own:.3g} A/V) than to that of earlier rows "
+            f"({max(earlier, 0.0):.2g} A/V), although a voltage acts only from its row's time on: the "
+            "current was read after the voltage had been applied, or the controller is faster than the "
+            "log. Shift the current down by one row, or leave it out by hframe import "
+            f"--map {channel}=none; if the controller is faster, log each of its rows"
+        )
+        findings.append(Finding("advice", "", channel, message))
+    return findings
+
+
+def currents_after_their_voltage(
+    recordings: Sequence[Recording], machine: Machine
+) -> dict[str, tuple[str, float, float]]:
+    """Return the currents that respond to the voltage of their own row, see `check_currents`.
+
+    Returns:
+        By the current's channel: the channel of the voltage, and the responses, A/V, to the voltage of the
+        own row and the largest to that of an earlier one.
+    """
+    found: dict[str, tuple[str, float, float]] = {}
     for j, sensor in enumerate(machine.sensors):
         names = [drive.name for drive in machine.drives]
         if sensor.quantity != "current" or len(sensor.row) != 1 or next(iter(sensor.row)) not in names:
@@ -45,16 +67,8 @@ def check_currents(recordings: Sequence[Recording], machine: Machine) -> list[Fi
         runs = [(r.time_s, r.inputs[:, i], r.outputs[:, j] / coefficient) for r in recordings]
         own, earlier = _responses(runs)
         if own > earlier:
-            channel = machine.input_channels[i]
-            message = (
-                f"responds more to {channel} of its own row ({own:.3g} A/V) than to that of earlier rows "
-                f"({max(earlier, 0.0):.2g} A/V), although a voltage acts only from its row's time on: the "
-                "current was read after the voltage had been applied, or the controller is faster than the "
-                "log. Shift the current down by one row, or leave it out by hframe import "
-                f"--map {sensor.channel}=none; if the controller is faster, log each of its rows"
-            )
-            findings.append(Finding("advice", "", sensor.channel, message))
-    return findings
+            found[sensor.channel] = machine.input_channels[i], own, earlier
+    return found
 
 
 def _responses(runs: Sequence[tuple[Array, Array, Array]]) -> tuple[float, float]:

@@ -51,6 +51,8 @@ class UnknownVoltages(ReportPart):
             channel, in the channel's unit.
         fitted_by: Method that fitted the delivered machine: instrumental variables (`fit.slow_logs`), or
             least squares with a residual that the statistics of the voltages make white.
+        late_currents: Channels of measured currents that respond to the voltage of their own row. Read after
+            that voltage had been applied, they make a log look slower than its controller.
     """
 
     commands: str = "voltages"
@@ -58,6 +60,7 @@ class UnknownVoltages(ReportPart):
     period_s: FiniteFloat
     errors: dict[str, FiniteFloat]
     fitted_by: Literal["instruments", "white residual"]
+    late_currents: list[str] = []
 
 
 class ChannelErrors(ReportPart):

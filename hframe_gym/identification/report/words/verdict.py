@@ -75,9 +75,16 @@ def unknown_voltages(report: Report) -> list[str]:
     period = f"{1e3 * unknown.period_s:.3g} ms"
     by_instruments = unknown.fitted_by == "instruments"
     commands = unknown.commands
+    changes = (
+        f"the controller changes the {commands} about {unknown.changes_per_row} times "
+        f"between two rows of this log (every {period}), and the log does not contain these {commands}"
+    )
+    if late := " and ".join(unknown.late_currents):
+        cause = f"Either {changes}, or {late} was read after the voltage of its own row had been applied."
+    else:
+        cause = f"{changes[:1].upper()}{changes[1:]}."
     return [
-        f"The controller changes the {commands} about {unknown.changes_per_row} times "
-        f"between two rows of this log (every {period}), and the log does not contain these {commands}.",
+        cause,
         *_unknown_error(sizes, refuted),
         *_hidden_delay(report, unknown),
         *([_BY_INSTRUMENTS.format(commands)] if by_instruments else []),
@@ -94,6 +101,13 @@ def complete_log(unknown: UnknownVoltages) -> str:
     advice = f"log every row of the controller (every {1e3 * unknown.period_s:.3g} ms)"
     if unknown.commands != "set points":
         advice += ", or describe the drives by their set point and log that"
+    if unknown.late_currents:
+        late = " and ".join(unknown.late_currents)
+        without = " ".join(f"--map {channel}=none" for channel in unknown.late_currents)
+        return (
+            f"first identify without {late} (hframe import {without}): if the controller no longer seems "
+            f"faster than the log, shift {late} down by one row; otherwise {advice}"
+        )
     return advice
 
 

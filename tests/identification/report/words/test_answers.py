@@ -368,6 +368,10 @@ def test_a_slow_log_is_named_first() -> None:
     assert "log every row of the controller (every 1 ms)." in of_set_points
     assert "fit by instruments" not in sentence
     assert "fit by instruments" in sentence_about(unknown | {"fitted_by": "instruments"})
+    either = sentence_about(unknown | {"late_currents": ["motor_A"]})
+    assert either.startswith("Either the controller changes the voltages about 5 times between two rows")
+    assert "or motor_A was read after the voltage of its own row had been applied." in either
+    assert "first identify without motor_A (hframe import --map motor_A=none)" in either
 
 
 def test_a_slow_log_tells_which_effects_it_may_hide() -> None:
