@@ -14,7 +14,7 @@ from typing import Literal
 
 from .criteria import SelectionCriteria
 from .drift import less_well_than_by_run
-from .error import AS_GOOD, CLEAR, SIZE_OF_VOLTAGES, FitError
+from .error import AS_GOOD, CLEAR, SIZE_OF_VOLTAGES, FitError, nearly_explains
 from .unstable_motion import UnstableMotion, largest_grown_error, predictions_explain
 
 Verdict = Literal["effect_found", "no_effect", "unexplained"]
@@ -161,6 +161,36 @@ def contradiction_of_no_effect(evidence: VerdictEvidence, criteria: SelectionCri
             f"{100 * beyond:.2g} % of the motion: too much to tell whether an effect is missing"
         )
     return ""
+
+
+def fault_of_fitted_runs(error: FitError, left: float, criteria: SelectionCriteria) -> str:
+    """Return why a machine without effects explains the held-out runs and not the fitted ones.
+
+    Where both have an error, that of the held-out runs says enough.
+
+    Args:
+        error: Error of the fitted runs.
+        left: Simulation error of the held-out runs, in multiples of the noise, rms over channels.
+        criteria: Decision thresholds `max_noise_ratio_explained` and `explained_chi2`.
+
+    Returns:
+        A clause; "" if the held-out runs have an error as well, or the fitted runs have none.
+    """
+    if not left <= criteria.max_noise_ratio_explained:
+        return ""
+    held_out = f"the held-out runs are explained ({left:.3g} times the noise), but the fitted runs are not"
+    observer = f"with an observer of {error.bandwidth:.3g} rad/s" if error.bandwidth else "in simulation"
+    if not nearly_explains(error, criteria):
+        return (
+            f"{held_out}: their chi-squared per sample is {error.chi2:.3g} {observer}, "
+            f"and up to {criteria.explained_chi2:g} counts as explained"
+        )
+    if not error.widest:
+        return ""
+    return (
+        f"{held_out}: only predictions {observer} follow them, which hides forces of any size, and their "
+        f"simulation leaves more than {criteria.max_noise_ratio_explained:g} times the noise"
+    )
 
 
 def contradiction_of_names(evidence: VerdictEvidence, explained: bool, criteria: SelectionCriteria) -> str:

@@ -35,6 +35,7 @@ from ..judge.verdict import (
     VerdictEvidence,
     contradiction_of_names,
     contradiction_of_no_effect,
+    fault_of_fitted_runs,
     remaining,
 )
 from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, innovation_variance
@@ -226,13 +227,17 @@ class HeldOutTest:
     def contradiction(self, evaluated: Evaluated, differing: Sequence[str]) -> str:
         """Return why the held-out runs contradict the verdict of a search, as a clause; "" if they do not.
 
+        Of the verdict "unexplained", they contradict nothing; then it is what the fitted runs lack, where the
+        held-out ones do not show it.
+
         Args:
             evaluated: Outcome of the search with its machines.
             differing: Names of runs that contradict the fitted ones.
         """
         outcome = evaluated.outcome
         if not outcome.selected and outcome.verdict != "no_effect":
-            return ""
+            left = evaluated.before.held_out.noise_ratio
+            return fault_of_fitted_runs(outcome.before.error, left, self.criteria)
         evaluated = _with_ranges(evaluated)
         evidence = _evidence(evaluated, differing)
         if not outcome.selected:

@@ -35,6 +35,28 @@ def test_effects_must_remove_three_quarters(
 
 
 @pytest.mark.parametrize(
+    ("fitted", "left", "reason"),
+    [
+        (
+            error(1.7),
+            1.06,
+            "chi-squared per sample is 1.7 with an observer of 60 rad/s, and up to 1.5 counts",
+        ),
+        (error(1.3), 1.06, "only predictions with an observer of 60 rad/s follow them"),
+        (FitError(1.7e4, 1e4), 1.06, "chi-squared per sample is 1.7 in simulation"),
+        (FitError(1.3e4, 1e4, 15.0), 1.06, ""),  # another reason, such as a parameter that differs by run
+        (error(9.0), 5.0, ""),  # the error of the held-out runs says it
+        (error(9.0), float("nan"), ""),
+    ],
+)
+def test_an_unexplained_verdict_beside_explained_held_out_runs_has_a_reason(
+    fitted: FitError, left: float, reason: str
+) -> None:
+    found = judge.fault_of_fitted_runs(fitted, left, CRITERIA)
+    assert (reason in found) if reason else not found
+
+
+@pytest.mark.parametrize(
     ("any_effect", "drift", "explained", "verdict", "reason"),
     [
         (True, "", True, "effect_found", ""),
