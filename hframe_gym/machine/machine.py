@@ -197,7 +197,8 @@ class Machine:
         Rows of other sensors are zero. Products such as "y*yaw" (`Sensor.row`) are left out.
         """
         nothing = np.zeros(len(self.coordinates))
-        return np.array([self.coefficients(s.row) if s.of_position else nothing for s in self.sensors])
+        rows = [self.coefficients(s.row) if s.of_position else nothing for s in self.sensors]
+        return np.array(rows).reshape(-1, len(self.coordinates))
 
     @cached_property
     def position_commands(self) -> dict[str, int]:

@@ -104,6 +104,14 @@ def test_set_points_of_speeds_are_compared_with_tachometers_alone() -> None:
     assert len(check_swapped_set_points(prepare(swapped, machine).runs, machine)) == 1
 
 
+def test_accelerations_alone_tell_no_swap_of_set_points() -> None:
+    """They are no positions, and give none: a printer with an accelerometer on its tool."""
+    printer = new_machine("printer", "printer", MachineOptions())
+    sensors = (Sensor(f"a{axis}_m_s2", {axis: 1.0}, noise=0.05, kind="acceleration") for axis in "xy")
+    machine = printer.replace(sensors=tuple(sensors))
+    assert faults(check_before_fit(runs(machine, [curves(seed, 2.0) for seed in range(2)]), machine)) == []
+
+
 def test_equal_commands_tell_no_swap() -> None:
     """Both drives then follow both commands."""
     machine = with_currents("xy-table")
