@@ -8,7 +8,7 @@ that can be taken there.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -136,12 +136,6 @@ class DifferentiableMotion:
         source = self._program.source
         self._count = len(machine.coordinates)
         self._sizes = (self._count, len(source.layout.derived), len(machine.drives))
-        names = list(machine.parameters)
-        self._radii: dict[int, tuple[int, float]] = {}  # column and factor by coordinate; others are linear
-        for i, coordinate in enumerate(machine.coordinates):
-            if coordinate.kind == "rotary":
-                name, factor = machine.untied(f"{coordinate.name}.radius")
-                self._radii[i] = names.index(name), factor
 
     @property
     def delayed(self) -> bool:
@@ -192,22 +186,10 @@ class DifferentiableMotion:
         states[:, 0, 2 * count + 1 :] = start[:, 2 * count :]
         kernel = self._program.kernel
         functions = (kernel["prepare"], kernel["voltage_delays"], kernel["advance"])
-
-        def run(first: int, last: int) -> None:
-            periods_forward(
-                functions,
-                self._sizes,
-                self.delayed,
-                inputs,
-                parameters,
-                self.step,
-                self._steps,
-                first,
-                last,
-                states,
-            )
-
-        _in_blocks(run, batch, parallel)
+        arguments = functions, self._sizes, self.delayed, inputs, parameters, self.step, self._steps
+        in_parallel(
+            lambda first, last: periods_forward(*arguments, first, last, states), -(-batch // LANES), parallel
+        )
         public = np.delete(states, 2 * count, axis=2)
         public[:, :, : 2 * count] /= units[:, None]
         return Motions(public, inputs, parameters, states)
@@ -244,25 +226,12 @@ class DifferentiableMotion:
             derivatives["voltage_delays_back"],
         )
 
-        def run(first: int, last: int) -> None:
-            periods_back(
-                functions,
-                self._sizes,
-                (self.delayed, by_parameters),
-                inputs,
-                parameters,
-                self.step,
-                self._steps,
-                first,
-                last,
-                states,
-                adjoint,
-                start,
-                of_inputs,
-                of_parameters,
-            )
-
-        _in_blocks(run, batch, parallel)
+        flags = self.delayed, by_parameters
+        arguments = functions, self._sizes, flags, inputs, parameters, self.step, self._steps
+        results = states, adjoint, start, of_inputs, of_parameters
+        in_parallel(
+            lambda first, last: periods_back(*arguments, first, last, *results), -(-batch // LANES), parallel
+        )
         by_start = np.delete(start, 2 * count, axis=1)
         if by_parameters:
             first = motions.states[:, 0, : 2 * count]
@@ -286,9 +255,9 @@ class DifferentiableMotion:
         travel = states[:, :, : self._count] * self._units(parameters)[:, None, : self._count]
         readings = np.empty((*states.shape[:2], len(self.machine.sensors)))
         address = self._program.kernel["read_sensors"]
-        _in_blocks(
+        in_parallel(
             lambda first, last: readings_forward(address, travel, parameters, first, last, readings),
-            len(states),
+            -(-len(states) // LANES),
             parallel,
         )
         return readings
@@ -314,11 +283,11 @@ class DifferentiableMotion:
         of_travel, of_parameters = np.empty(travel.shape), np.empty(parameters.shape)
         address = self._program.derivatives["read_sensors_back"]
         adjoint = np.ascontiguousarray(by_readings, float)
-        _in_blocks(
+        in_parallel(
             lambda first, last: readings_back(
                 address, travel, parameters, adjoint, first, last, of_travel, of_parameters
             ),
-            len(states),
+            -(-len(states) // LANES),
             parallel,
         )
         by_states = np.zeros(states.shape)
@@ -328,29 +297,14 @@ class DifferentiableMotion:
         return by_states, of_parameters
 
     def travel_per_unit(self, parameters: Array) -> Array:
-        """Return the belt travel per position, shape (B, coordinates), for `parameters`, SI, shape (B, P).
-
-        It is a pulley's radius, m/rad, and 1 for a linear coordinate.
-        """
-        units = np.ones((len(parameters), self._count))
-        for i, (column, factor) in self._radii.items():
-            units[:, i] = factor * parameters[:, column]
-        return units
+        """Compute `Machine.travel_per_unit_of` for `parameters`, shape (B, P): shape (B, coordinates)."""
+        return self.machine.travel_per_unit_of(parameters)
 
     def _units(self, parameters: Array) -> Array:
         """Return the belt travel per position of each coordinate, twice, (B, 2 * coordinates)."""
-        return np.tile(self.travel_per_unit(parameters), 2)
+        return np.tile(self.machine.travel_per_unit_of(parameters), 2)
 
     def _add_by_units(self, change: Array, by_parameters: Array) -> None:
         """Add derivatives by the belt travel per position, (B, 2 * coordinates), to those by parameters."""
-        for i, (column, factor) in self._radii.items():
+        for i, (column, factor) in self.machine.radius_parameters.items():
             by_parameters[:, column] += factor * (change[:, i] + change[:, self._count + i])
-
-
-def _in_blocks(run: Any, batch: int, parallel: bool) -> None:
-    """Call a function for all blocks of a batch, in threads or in this one."""
-    blocks = -(-batch // LANES)
-    if parallel:
-        in_parallel(run, blocks)
-    else:
-        run(0, blocks)

@@ -47,15 +47,16 @@ def threads() -> int:
         ) from None
 
 
-def in_parallel(run: Callable[[int, int], None], blocks: int) -> None:
+def in_parallel(run: Callable[[int, int], None], blocks: int, parallel: bool = True) -> None:
     """Process blocks of `LANES` machines in several threads; return when all are done.
 
     Args:
         run: Function (first, end) that processes the blocks first to end - 1. It is called in several threads
             at once with different ranges; to gain speed, it must release Python's global interpreter lock.
             Its exceptions are raised here.
+        parallel: False for all blocks in this thread.
     """
-    count = min(threads(), blocks)
+    count = min(threads(), blocks) if parallel else 1
     if count <= 1:
         run(0, blocks)
         return
@@ -167,29 +168,12 @@ def simulate_batch(
     state_series = np.empty((batch if states else 0, rows, width))
     reading_series = np.empty((batch if readings else 0, rows, len(machine.sensors)))
 
-    def simulate_blocks(first: int, end: int) -> None:
-        kernel.rollout(
-            time,
-            inputs,
-            parameters,
-            first_states,
-            measurements,
-            travel_gains,
-            shifts,
-            force,
-            longest_step,
-            every,
-            first,
-            end,
-            state_series,
-            reading_series,
-        )
+    arguments = time, inputs, parameters, first_states, measurements, travel_gains, shifts, force
 
-    blocks = -(-batch // LANES)
-    if parallel:
-        in_parallel(simulate_blocks, blocks)
-    else:
-        simulate_blocks(0, blocks)
+    def simulate_blocks(first: int, end: int) -> None:
+        kernel.rollout(*arguments, longest_step, every, first, end, state_series, reading_series)
+
+    in_parallel(simulate_blocks, -(-batch // LANES), parallel)
     moving = state_series[..., : 2 * count]
     moving /= to_travel
     return Motion(

@@ -27,29 +27,6 @@ from .randomization.machine_sampler import ParameterSpace
 from .workspace import EndStops, tool_terms, write_tool_positions
 
 
-def _parameter_values(machine: Machine, name: str, values: Array) -> Array:
-    """Return a parameter (k,) by full name from values (k, N), whose first columns are `machine.parameters`.
-
-    A tied parameter is a factor times the parameter to which it is tied.
-    """
-    owner, factor = machine.untied(name)
-    return factor * values[:, list(machine.parameters).index(owner)]
-
-
-def units_per_travel(machine: Machine, values: Array) -> Array:
-    """Compute factors from belt travel, m, to coordinates: 1, or 1 / radius, rad/m, shape (k, coordinates).
-
-    Args:
-        values: Parameters of k machines, SI, shape (k, N). The first columns are `machine.parameters` in
-            their order; further columns are ignored.
-    """
-    units = np.ones((len(values), len(machine.coordinates)))
-    for i, c in enumerate(machine.coordinates):
-        if c.kind == "rotary":
-            units[:, i] = 1.0 / _parameter_values(machine, f"{c.name}.radius", values)
-    return units
-
-
 def block_ranges(index: Index) -> Iterator[tuple[int, int]]:
     """Find the blocks of given machines, as ranges (first, index after the last) of consecutive blocks.
 
@@ -122,7 +99,7 @@ class BatchedSimulator:
         self.state = np.zeros((self.blocks, self._kernel.states, LANES))
         nominal = np.array(list(self._stepped.parameters.values()))
         self.parameters = in_blocks(np.tile(nominal, (count, 1)))
-        self.units_per_travel = in_blocks(units_per_travel(machine, np.tile(nominal, (count, 1))))
+        self.units_per_travel = in_blocks(1.0 / machine.travel_per_unit_of(np.tile(nominal, (count, 1))))
         self._derived = np.zeros((self.blocks, len(self._kernel.layout.derived), LANES))
         self._kernel.prepare_blocks(self.parameters, self.h, 0, self.blocks, self._derived)
         delayed = self._kernel.delayed
@@ -161,7 +138,7 @@ class BatchedSimulator:
         state = np.zeros((len(index), self.state.shape[1]))
         for axis, travel in enumerate(self._rest.T):
             state[:, : self._n] += position[:, axis, None] * travel
-        units = units_per_travel(self.machine, values)
+        units = 1.0 / self.machine.travel_per_unit_of(values)
         if motion is not None:
             state[:, : 2 * self._n] = motion / np.tile(units, 2)
         # The unused lanes of the last block repeat the last machine, with voltages of zero.

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..arrays import Array
+from ..arrays import Array, ParameterRows
 from ..errors import InputError, suggestion
 from .axis_unit import DEFAULT_TURNS, METERS, RADIANS, AxisUnit
 from .components import Belt, Coordinate, Drive, Row, Sensor
@@ -346,6 +346,24 @@ class Machine:
             name, tie = self.ties[name]
             factor *= tie
         return name, factor
+
+    @cached_property
+    def radius_parameters(self) -> dict[int, tuple[int, float]]:
+        """Column of `parameters` and factor of each pulley's radius, by the index of its coordinate."""
+        columns = {name: column for column, name in enumerate(self.parameters)}
+        rotary = [i for i, c in enumerate(self.coordinates) if c.kind == "rotary"]
+        owners = {i: self.untied(f"{self.coordinates[i].name}.radius") for i in rotary}
+        return {i: (columns[name], factor) for i, (name, factor) in owners.items()}
+
+    def travel_per_unit_of(self, parameters: ParameterRows) -> Array:
+        """Compute `travel_per_unit` of machines with other parameters, m/m or m/rad, shape (B, coordinates).
+
+        Further columns of `parameters` are ignored.
+        """
+        travel = np.ones((len(parameters), len(self.coordinates)))
+        for i, (column, factor) in self.radius_parameters.items():
+            travel[:, i] = factor * parameters[:, column]
+        return travel
 
     def with_tied(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Return parameter values together with those of the parameters tied to them (`ties`).
