@@ -25,6 +25,15 @@ def function_source(trace: Trace) -> str:
     return "\n".join([f"def {trace.signature}:", *_Writer(trace.statements, trace.names).lines]) + "\n"
 
 
+def count_uses(value: Expression, uses: Counter[Expression]) -> None:
+    """Count one more use of a value; its operands are used once for all places where it is."""
+    uses[value] += 1
+    if uses[value] == 1:
+        for operand in value.operands:
+            if isinstance(operand, Expression):
+                count_uses(operand, uses)
+
+
 class _Writer:
     """Writes the statements of a trace.
 
@@ -34,29 +43,20 @@ class _Writer:
     def __init__(self, statements: list[Statement], names: dict[Expression, str]) -> None:
         self._names = names
         self._uses: Counter[Expression] = Counter()
-        self._count(statements, set())
+        self._count(statements)
         self._temporaries = 0
         self._versions: dict[str, int] = {}
         self._before_loop: list[str] | None = None
         self._constants: dict[Expression, str] = {}
         self.lines = self._write(statements, {}, 1)
 
-    def _count(self, statements: Sequence[Statement], visited: set[Expression]) -> None:
+    def _count(self, statements: Sequence[Statement]) -> None:
         """Count in how many places each value is used."""
-
-        def visit(value: Expression) -> None:
-            self._uses[value] += 1
-            if value not in visited:
-                visited.add(value)
-                for operand in value.operands:
-                    if isinstance(operand, Expression):
-                        visit(operand)
-
         for statement in statements:
             if statement.text:  # a `let` is no use
                 for value in statement.values:
-                    visit(value)
-            self._count(statement.body, visited)
+                    count_uses(value, self._uses)
+            self._count(statement.body)
 
     def _write(
         self, statements: Sequence[Statement], computed: dict[Expression, str], depth: int

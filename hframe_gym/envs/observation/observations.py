@@ -206,15 +206,13 @@ class ObservationBuilder:
             broken = self._observe(first, last, self._tool, tool, tool)
             self._write_measurements(self._sensors, first, last, observation)
             if evaluation is not None:
-                kind, band, meters, distance, reward = evaluation
-                goals = tool, observation["achieved_goal"], True, observation["desired_goal"]
-                span = first * LANES, min(last * LANES, simulator.count)
-                evaluate_rows(*goals, *span, kind, band, meters, distance, reward)
+                end = min(last * LANES, simulator.count)
+                achieved, desired = observation["achieved_goal"], observation["desired_goal"]
+                evaluate_rows(tool, achieved, True, desired, first * LANES, end, *evaluation)
         elif evaluation is None:
             broken = self._observe(first, last, self._state, observation["observation"], tool)
         else:  # one call for both: calls are most of a step of one environment
             view = self._state
-            kind, band, meters, distance, reward = evaluation
             broken = _observe_and_evaluate(
                 view.program.addresses["observe"],
                 view.size,
@@ -226,11 +224,7 @@ class ObservationBuilder:
                 observation["observation"],
                 tool,
                 observation["desired_goal"],
-                kind,
-                band,
-                meters,
-                distance,
-                reward,
+                *evaluation,
             )
         if self.privileged:
             rows = observation["privileged"]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from typing_extensions import override
@@ -64,7 +64,7 @@ class Signal:
         return [f"{self.name}[{i}]" for i in range(self.size)] if self.size else [self.name]
 
 
-@dataclass
+@dataclass(frozen=True)
 class Formula:
     """A function from signals to signals, traced.
 
@@ -73,6 +73,8 @@ class Formula:
         comment: What it computes.
         inputs: Arguments, in the order of the function.
         outputs: Results; a state is an input and an output of the same name.
+        function: Function (values, *arguments) of the parameter values by full name, None for those of the
+            machine, and of one value (or list of values) per input, which returns all entries of the outputs.
         results: One expression for each entry of the outputs, in order.
     """
 
@@ -80,7 +82,8 @@ class Formula:
     comment: str
     inputs: tuple[Signal, ...]
     outputs: tuple[Signal, ...]
-    results: list[Expression] = field(default_factory=list)
+    function: Callable[..., Sequence[Any]]
+    results: list[Expression]
 
     @property
     def states(self) -> tuple[Signal, ...]:
@@ -96,15 +99,9 @@ def trace_formula(
     function: Callable[..., Sequence[Any]],
     parameters: Mapping[str, Parameter],
 ) -> Formula:
-    """Trace a function of the equations of motion as a formula.
+    """Trace a function of the equations of motion as a formula; the arguments are its attributes.
 
     Args:
-        name: Name of the formula, after the prefix of the export.
-        comment: What it computes.
-        inputs: Its arguments.
-        outputs: Its results.
-        function: Function (values, *arguments) of the parameter values by full name and of one value (or list
-            of values) per input, which returns all entries of the outputs.
         parameters: Parameters of the machine by full name, see `parameters_of`.
     """
     trace = FormulaTrace(name)
@@ -114,7 +111,7 @@ def trace_formula(
         elements = [trace.argument(text) for text in signal.elements()]
         arguments.append(elements if signal.size else elements[0])
     results = [trace.expression(value) for value in function(values, *arguments)]
-    return Formula(name, comment, tuple(inputs), tuple(outputs), results)
+    return Formula(name, comment, tuple(inputs), tuple(outputs), function, results)
 
 
 def parameters_of(machine: Machine) -> dict[str, Parameter]:

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
+from ...dynamics.symbolic.source_text import count_uses
 from ...dynamics.symbolic.tracing import Expression
 from .formula import Formula
 
@@ -110,9 +111,8 @@ class _Writer:
         self._names: dict[str, list[str]] = {"number": [], "condition": []}
         self._lines: list[str] = []
         self._used: set[str] = set()
-        visited: set[Expression] = set()
         for result in formula.results:
-            self._count(result, visited)
+            count_uses(result, self._uses)
         targets = [text for signal in formula.outputs for text in signal.elements()]
         # All values before the first assignment to an output: a state is an input as well.
         values = [
@@ -124,14 +124,6 @@ class _Writer:
         ]
         numbers, conditions = (tuple(self._names[kind]) for kind in ("number", "condition"))
         self.body = Body(tuple(self._lines), numbers, conditions, frozenset(self._used))
-
-    def _count(self, value: Expression, visited: set[Expression]) -> None:
-        self._uses[value] += 1
-        if value not in visited:
-            visited.add(value)
-            for operand in value.operands:
-                if isinstance(operand, Expression):
-                    self._count(operand, visited)
 
     def _unbracketed(self, value: Expression) -> str:
         return unbracketed(self._text(value))

@@ -11,7 +11,7 @@ amplifier_J, command_J  characteristic of amplifier J and its inverse, for drive
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -94,10 +94,14 @@ class MotionFormulas:
         if formula.name == "pid":
             return self._pid_vectors(rng, position, velocity)
         inputs, outputs = [], []
-        for row in zip(time.tolist(), position, velocity, acceleration, strict=True):
-            inputs.append(_inputs_of(formula, *row))
-            outputs.append(_outputs_of(self.dynamics, formula, *row))
-        return Vectors(np.array(inputs), np.array(outputs))
+        for motion in zip(
+            *(values.tolist() for values in (time, position, velocity, acceleration)), strict=True
+        ):
+            signals = dict(zip(("time", "position", "velocity", "acceleration"), motion, strict=True))
+            arguments = [signals[signal.name] for signal in formula.inputs]
+            inputs.append(np.hstack(arguments))
+            outputs.append(formula.function(None, *arguments))
+        return Vectors(np.array(inputs), np.array(outputs, np.float64))
 
     def _random_motion(self, rng: np.random.Generator, count: int) -> tuple[Array, Array, Array, Array]:
         """Return times and states of the tool within limits of the machine; every fourth speed is zero."""
@@ -307,37 +311,6 @@ def _pid_formula(pid: TextbookPID, gains: dict[str, Parameter]) -> Formula:
         "saturates."
     )
     return trace_formula("pid", text, inputs, outputs, step, gains)
-
-
-def _inputs_of(formula: Formula, time: float, position: Array, velocity: Array, acceleration: Array) -> Array:
-    """Return the inputs of a formula of a motion as one row."""
-    values = {"time": [time], "position": position, "velocity": velocity, "acceleration": acceleration}
-    return np.concatenate([np.asarray(values[signal.name], np.float64) for signal in formula.inputs])
-
-
-def _outputs_of(
-    dynamics: InverseDynamics,
-    formula: Formula,
-    time: float,
-    position: Array,
-    velocity: Array,
-    acceleration: Array,
-) -> list[float]:
-    """Return the outputs of a formula of a motion, computed with the equations on numbers."""
-    p, v, a = (vector.tolist() for vector in (position, velocity, acceleration))
-    if formula.name == "friction_compensation":
-        a = [0.0] * len(a)
-    total, friction = dynamics.coordinate_forces(None, time, p, v, a)
-    if formula.name == "friction_compensation":
-        return _floats(dynamics.motor_voltages(None, friction))
-    if formula.name == "motor_reference":
-        return _floats(dynamics.motor_reference(None, p, total))
-    return _floats(dynamics.commands(dynamics.motor_voltages(None, total), dynamics.command))
-
-
-def _floats(values: Sequence[Any]) -> list[float]:
-    """Return numbers as floats."""
-    return [float(value) for value in values]
 
 
 def check_prefix(prefix: str) -> str:
