@@ -101,7 +101,7 @@ class KnownMotion:
     @cached_property
     def _voltages(self) -> list[Array]:
         """Voltage that reaches each drive, V."""
-        return delayed_voltages(self._equations, self._record[0], self._inputs)
+        return _delayed_voltages(self._equations, self._record[0], self._inputs)
 
     @cached_property
     def _belt_forces(self) -> list[Any]:
@@ -131,7 +131,7 @@ class KnownMotion:
             Net force on each coordinate, N or Nm, shape (N,) or (variants, N).
         """
         delayed = any(instance.effect.definition.delay for instance in equations.instances)
-        voltages = delayed_voltages(equations, self._record[0], self._inputs) if delayed else self._voltages
+        voltages = _delayed_voltages(equations, self._record[0], self._inputs) if delayed else self._voltages
         states = effect_states(equations, *self._record, voltages)
         point = dataclasses.replace(self._point, effect_states=states)
         belt_forces = (
@@ -255,16 +255,12 @@ def law_torques(
     return torques
 
 
-def delayed_voltages(equations: Equations, time_s: Times, inputs: Inputs) -> list[Array]:
+def _delayed_voltages(equations: Equations, time_s: Times, inputs: Inputs) -> list[Array]:
     """Return the voltage that reaches each drive, as its mean from each sample to the next.
 
     The delay of a drive shifts the steps of the commanded voltage to times between the samples; hence the
     mean. The last mean is over an interval as long as the one before. Until the delay has passed, the voltage
-    of the first sample acts.
-
-    Returns:
-        Mean voltages, V: for each drive an array of shape (N,), or (variants, N) if its delay is an array of
-        shape (variants, 1) with one value for each of several variants of the machine.
+    of the first sample acts. Shape (N,), or (variants, N) for delays of several variants.
     """
     # Length of the interval after each sample, s; the last one is as long as the one before it.
     steps = np.diff(time_s, append=2.0 * time_s[-1] - time_s[-2] if len(time_s) > 1 else time_s[-1] + 1.0)

@@ -148,20 +148,17 @@ def periods_back(
 ) -> None:
     """Compute gradients by start, voltages and parameters from derivatives by the states (reverse mode).
 
+    The other arguments are those of `periods_forward`.
+
     Args:
         functions: Addresses of prepare, voltage_delays, advance, step_back (with or without parameters),
             prepare_back and voltage_delays_back.
-        sizes: Numbers of coordinates, step constants and drives.
         flags: Whether a drive has a delay, and whether to compute derivatives with respect to the parameters.
-        inputs: Voltages, V, shape (B, earlier + simulated periods, drives); the shape of `states` gives the
-            number of simulated periods. Before the first period, its voltages act.
+        inputs: Voltages, V, shape (B, earlier + simulated periods, drives).
         parameters: Machine parameters, SI, shape (B, parameters).
         h: Length of a step, s.
-        steps: Number of steps per period.
-        first: First block.
-        last: Block after the last one.
-        states: Belt travel, m, its rate, m/s, time, s, and effect states, shape (B, periods + 1, rows).
-        adjoint: Derivatives with respect to these states, 1/m, s/m, ..., shape (B, periods + 1, rows); the
+        states: States that `periods_forward` computed, shape (B, periods + 1, rows).
+        adjoint: Derivatives with respect to the states, 1/m, s/m, ..., shape (B, periods + 1, rows); the
             row of time is ignored.
         start_out: Output, derivatives with respect to the first states, shape (B, rows).
         inputs_out: Output, derivatives with respect to the voltages, 1/V, in the shape of `inputs`; zero on

@@ -17,17 +17,8 @@ from .native_calls import call_at
 
 
 @compiled_only
-def held_mean(time, values, start: float, end: float, hint: int) -> float:
-    """Return the mean over [start, end] of an input that is held from each time until the next, in its unit.
-
-    Args:
-        time: Sample times, s, ascending, shape (N,).
-        values: Input at the samples, any unit, shape (N,); the first value also acts before the first sample.
-        start: Start of the interval, s.
-        end: End of the interval, s, later than `start`; it may be later than the last sample.
-        hint: Index of the sample at which the search for the start of the interval begins; any index is
-            allowed.
-    """
+def _held_mean(time, values, start: float, end: float, hint: int) -> float:
+    """Return the mean over [start, end] of an input that is held; the search begins at index `hint`."""
     i = hint
     while i > 0 and time[i] > start:
         i -= 1
@@ -43,19 +34,8 @@ def held_mean(time, values, start: float, end: float, hint: int) -> float:
 
 
 @compiled_only
-def parabola(time, i: int, delay: float) -> tuple:
-    """Return the weights of three samples that interpolate a signal at an earlier time by a parabola.
-
-    Args:
-        time: Sample times, s, ascending, shape (N,).
-        i: Index of the present sample; later ones are not used. With two samples (i = 1) the interpolation is
-            linear.
-        delay: Time before the present sample, s; times before the first sample count as that sample.
-
-    Returns:
-        Index k of the middle sample, weight a of sample k - 1 and weight b of sample k + 1; sample k has 1 -
-        a - b.
-    """
+def _parabola(time, i: int, delay: float) -> tuple:
+    """Return the middle one of three samples, and the weights of its neighbors, at time[i] - delay."""
     if i == 0:
         return 0, 0.0, 0.0
     t = max(time[0], time[i] - delay)
@@ -73,11 +53,8 @@ def parabola(time, i: int, delay: float) -> tuple:
 
 
 @compiled_only
-def most_steps(time, longest_step: float) -> int:
-    """Return the largest number of integration steps, of at most `longest_step`, s, that an interval needs.
-
-    The intervals are those between the samples `time`, s, shape (N,).
-    """
+def _most_steps(time, longest_step: float) -> int:
+    """Return the largest number of steps, of at most `longest_step`, s, that an interval needs."""
     steps = 1
     for i in range(time.shape[0] - 1):
         steps = max(steps, int(np.ceil((time[i + 1] - time[i]) / longest_step - 1e-6)))
@@ -85,17 +62,8 @@ def most_steps(time, longest_step: float) -> int:
 
 
 @compiled_only
-def copy_lanes(block: int, row: int, values, table) -> None:
-    """Copy values of a block of machines to one row of their recordings.
-
-    Args:
-        block: Index of the block.
-        row: Index of the row.
-        values: Values of the block (states or readings, any unit), shape (k or more, LANES); the first k are
-            copied.
-        table: Output for B machines, in the unit of the values, shape (B, rows, k); if empty, nothing is
-            done.
-    """
+def _copy_lanes(block: int, row: int, values, table) -> None:
+    """Copy values (k, LANES) of a block to one row of its machines in a table (B, rows, k)."""
     first = block * LANES
     # Without a view of the row, which would cost a third of the time of a simulation.
     if first + LANES <= table.shape[0]:  # a constant number of machines: twice as fast
@@ -109,21 +77,8 @@ def copy_lanes(block: int, row: int, values, table) -> None:
 
 
 @compiled_only
-def delay_readings(time, i: int, sensor_delays, past_readings, reading) -> None:
-    """Delay the readings of one sample by each sensor's delay, for a block.
-
-    The readings become row i of `past_readings`. Those of sensors with a delay are then interpolated between
-    its rows.
-
-    Args:
-        time: Sample times, s, shape (N,).
-        i: Index of the present sample.
-        sensor_delays: Delay of each sensor, s, shape (sensors, LANES), one machine per column.
-        past_readings: Readings without delay, in the sensors' units, shape (N, sensors, LANES), up to sample
-            i - 1; row i is added.
-        reading: Readings of sample i, in the sensors' units, shape (sensors, LANES): without delay on entry,
-            delayed on return.
-    """
+def _delay_readings(time, i: int, sensor_delays, past_readings, reading) -> None:
+    """Delay each sensor's reading (sensors, LANES) of sample i by a parabola through earlier ones."""
     for j in range(reading.shape[0]):
         for lane in range(reading.shape[1]):
             past_readings[i, j, lane] = reading[j, lane]
@@ -132,7 +87,7 @@ def delay_readings(time, i: int, sensor_delays, past_readings, reading) -> None:
         for lane in range(LANES):
             if sensor_delays[j, lane] != delay:  # machines of a block mostly have the same delay
                 delay = sensor_delays[j, lane]
-                k, before, after = parabola(time, i, delay)
+                k, before, after = _parabola(time, i, delay)
             if delay > 0.0:
                 previous, middle = past_readings[max(0, k - 1), j, lane], past_readings[k, j, lane]
                 following = past_readings[min(k + 1, i), j, lane]
@@ -140,22 +95,8 @@ def delay_readings(time, i: int, sensor_delays, past_readings, reading) -> None:
 
 
 @compiled_only
-def inject_outputs(block: int, row: int, measured, gains, reading, innovation, state) -> None:
-    """Correct the states of a block by measurements, as an observer does.
-
-    The correction gains @ (measured - reading) is added to the state (output injection). The innermost loops
-    go over all lanes, so that they are vector instructions.
-
-    Args:
-        block: Index of the block.
-        row: Row of `measured` with the present measurements.
-        measured: Measurements, in the sensors' units, shape (1 or B, rows, sensors), NaN where not measured.
-        gains: Change of belt travel (m) and of its rate (m/s) per m or rad of error,
-            shape (2 * coordinates, sensors).
-        reading: Simulated readings, in the sensors' units, shape (sensors, LANES).
-        innovation: Work array for the differences, in the sensors' units, shape (sensors, LANES).
-        state: State, corrected in place, shape (rows, LANES).
-    """
+def _inject_outputs(block: int, row: int, measured, gains, reading, innovation, state) -> None:
+    """Add gains @ (measured - reading) to the state of a block, as an observer does."""
     for j in range(reading.shape[0]):
         if measured.shape[0] == 1:
             measurement = measured[0, row, j]
@@ -175,7 +116,7 @@ def inject_outputs(block: int, row: int, measured, gains, reading, innovation, s
 
 
 @compiled_only
-def hold_inputs(
+def _hold_inputs(
     block: int,
     delayed: bool,
     forced: bool,
@@ -190,24 +131,7 @@ def hold_inputs(
     voltages,
     external_forces,
 ) -> None:
-    """Set voltages and external forces of a block until the next sample.
-
-    Args:
-        block: Index of the block.
-        delayed: Whether a drive has a delay.
-        forced: Whether external forces act; if not, `external_forces` is not changed.
-        time: Sample times, s, shape (N,).
-        i: Index of the present sample.
-        row: Row of the recording at or before sample i.
-        steps: Number of integration steps until the next sample.
-        h: Length of a step, s.
-        inputs: Voltages, V, shape (1 or B, N, drives).
-        extra: External forces along the belt travel, N, shape (1 or B, rows, coordinates).
-        drive_delays: Delay of each drive, s, shape (drives, LANES).
-        voltages: Output, V, shape (drives, LANES); if a drive has a delay, the mean voltages of every step,
-            shape (steps * drives, LANES).
-        external_forces: Output, N, shape (coordinates, LANES).
-    """
+    """Set voltages, with delays the means of every step, and external forces until the next sample."""
     for k in range(drive_delays.shape[0]):
         if delayed:
             # Machines of a block mostly have the voltages and the delay of its first one.
@@ -217,7 +141,7 @@ def hold_inputs(
                 u = min(block * LANES + lane, inputs.shape[0] - 1)
                 for s in range(steps):
                     begin = time[i] + s * h - drive_delays[k, lane]
-                    mean = held_mean(time, inputs[u, :, k], begin, begin + h, i)
+                    mean = _held_mean(time, inputs[u, :, k], begin, begin + h, i)
                     if lane == 0:
                         voltages[s * drive_delays.shape[0] + k, :] = mean
                     else:
@@ -296,7 +220,7 @@ def rollout(
     offset = np.zeros((sensors, LANES))
     innovation = np.zeros((sensors, LANES))
     past_readings = np.zeros((time.shape[0] if lagged else 0, sensors, LANES))
-    voltages = np.zeros((drives * most_steps(time, longest_step) if delayed else drives, LANES))
+    voltages = np.zeros((drives * _most_steps(time, longest_step) if delayed else drives, LANES))
     for block in range(first, last):
         begin, moving = block * LANES, 2 * coordinates
         read_block(parameters, begin, block_parameters)
@@ -313,19 +237,19 @@ def rollout(
         for i in range(time.shape[0]):
             row, in_row = i // every, i % every == 0
             if in_row:
-                copy_lanes(block, row, state, out)
+                _copy_lanes(block, row, state, out)
             if (in_row or lagged) and (measured.shape[0] > 0 or readings.shape[0] > 0):
                 call_at(read_sensors, state, block_parameters, reading)
                 if lagged:
-                    delay_readings(time, i, sensor_delays, past_readings, reading)
+                    _delay_readings(time, i, sensor_delays, past_readings, reading)
                 if offsets.shape[0] > 0:
                     for j in range(sensors):
                         for lane in range(LANES):
                             reading[j, lane] += offset[j, lane]
                 if in_row:
-                    copy_lanes(block, row, reading, readings)
+                    _copy_lanes(block, row, reading, readings)
             if in_row and measured.shape[0] > 0:
-                inject_outputs(block, row, measured, gains, reading, innovation, state)
+                _inject_outputs(block, row, measured, gains, reading, innovation, state)
             if i + 1 == time.shape[0]:
                 break
             dt = time[i + 1] - time[i]
@@ -334,7 +258,7 @@ def rollout(
                 steps = max(1, int(np.ceil(dt / longest_step - 1e-6)))
                 h = dt / steps
                 call_at(prepare, block_parameters, derived, h)
-            hold_inputs(
+            _hold_inputs(
                 block,
                 delayed,
                 forced,
