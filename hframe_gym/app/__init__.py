@@ -9,10 +9,11 @@ jobs             run command lines in processes; their output, their progress, a
 log_columns      columns of logs, what they were taken for, and values that are few enough to be drawn
 stage_drawing    plan view of a machine as shapes that follow the tool
 server           server on the loopback address with a token
-window           frame of the page: the stages as tabs
-stage            what all stages have: commands, output of jobs
+window           the window, and a page for each browser tab
+page             the tabs of a page; what all stages have: commands, output of jobs
+elements         what stages consist of: sentences, tables, charts
 charts           options of charts with several curves over time
-machine_stage, logs_stage, check_stage, identify_stage, results_stage, control_stage, export_stage
+stages/          machine, logs, check, identify, results, control, export
 
 It needs the extra `app`.
 """

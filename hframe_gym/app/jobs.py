@@ -149,3 +149,12 @@ class Job:
             return
         self.lines.append(line)
         del self.lines[:-_MOST_LINES]
+
+
+class Jobs(dict[str, Job]):
+    """Last job of each stage by the stage's key."""
+
+    @property
+    def running(self) -> Job | None:
+        """The job in progress; None if there is none."""
+        return next((job for job in self.values() if job.running), None)

@@ -7,13 +7,13 @@ from typing import Any
 from nicegui import ui
 from typing_extensions import override
 
-from ..recordings import run_name
-from ..web_page import number
-from .charts import error_chart
-from .jobs import Job
-from .session import CONTROL, EXPORTS, RESULT, identify_command
-from .shown_charts import redraw
-from .stage import Stage, State, banner
+from ...recordings import run_name
+from ...web_page import number
+from ..charts import error_chart
+from ..elements import banner, redraw
+from ..jobs import Job
+from ..page import Page, Stage, State
+from ..session import CONTROL, EXPORTS, RESULT, identify_command
 
 _CHECKED_FIRST = (
     "The check found a fault, which makes a fit meaningless. Correct it, or identify nevertheless."
@@ -30,7 +30,7 @@ class IdentifyStage(Stage):
         "You may stop at any time; the best machine so far is tested and kept."
     )
 
-    def __init__(self, page: Any) -> None:
+    def __init__(self, page: Page) -> None:
         super().__init__(page)
         self._hold_out: list[str] = []
         self._budget = ""

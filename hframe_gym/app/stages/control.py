@@ -10,19 +10,19 @@ import numpy as np
 from nicegui import events, ui
 from typing_extensions import override
 
-from ..agents import shipped_agent_names
-from ..controllers import CONTROLLERS, period_concern, shorter_period, suited_controllers
-from ..envs import TASKS, EnvConfig
-from ..evaluation import file_labels
-from ..recordings import load_machine
-from ..web_page import number
-from .charts import curves_chart
-from .log_columns import Curve
-from .machine_stage import StageView
-from .session import MACHINE, evaluate_command
-from .shown_charts import redraw, show_curves
-from .stage import Stage, State, banner, heading, table
-from .stage_drawing import drawing_of, read_motions
+from ...agents import shipped_agent_names
+from ...controllers import CONTROLLERS, period_concern, shorter_period, suited_controllers
+from ...envs import TASKS, EnvConfig
+from ...evaluation import file_labels
+from ...recordings import load_machine
+from ...web_page import number
+from ..charts import curves_chart
+from ..elements import banner, heading, redraw, show_curves, table
+from ..log_columns import Curve
+from ..page import Page, Stage, State
+from ..session import MACHINE, evaluate_command
+from ..stage_drawing import drawing_of, read_motions
+from .machine import StageView
 
 # Of the curves, in the order of `hframe_gym.web_page.SERIES`.
 _COLOR_NAMES = ("blue", "orange", "green", "purple", "ocher", "red")
@@ -37,7 +37,7 @@ class ControlStage(Stage):
         "identified, the parameters vary as far as the identification leaves them open."
     )
 
-    def __init__(self, page: Any) -> None:
+    def __init__(self, page: Page) -> None:
         super().__init__(page)
         self._controllers = ["pid", "textbook-pid"]
         self._task = "reach"

@@ -12,11 +12,12 @@ from urllib.parse import quote
 from nicegui import ui
 from typing_extensions import override
 
-from ..exporters import EXPORTERS
-from ..exporters.base import ARGUMENT, HELP
-from ..help_texts import with_choices
-from .session import EXPORTS, export_command
-from .stage import Stage, State, heading
+from ...exporters import EXPORTERS
+from ...exporters.base import ARGUMENT, HELP
+from ...help_texts import with_choices
+from ..elements import heading
+from ..page import Page, Stage, State
+from ..session import EXPORTS, export_command
 
 
 class ExportStage(Stage):
@@ -27,7 +28,7 @@ class ExportStage(Stage):
         "Files for other tools. Each file states the machine, the version of this program and the units."
     )
 
-    def __init__(self, page: Any) -> None:
+    def __init__(self, page: Page) -> None:
         super().__init__(page)
         self._kind = "c"
         self._options: dict[str, str] = {}

@@ -5,13 +5,14 @@ from __future__ import annotations
 from nicegui import ui
 from typing_extensions import override
 
-from ..identification.report.content.saved_result import read_report
-from ..identification.report.words.instructions import next_command
-from ..identification.report.words.remainder import tone_of_remainder
-from ..identification.report.words.verdict import verdict_in_words
-from ..recordings import load_machine
-from .session import MACHINE, RESULT
-from .stage import Stage, State, banner, heading
+from ...identification.report.content.saved_result import read_report
+from ...identification.report.words.instructions import next_command
+from ...identification.report.words.remainder import tone_of_remainder
+from ...identification.report.words.verdict import verdict_in_words
+from ...recordings import load_machine
+from ..elements import banner, heading
+from ..page import Stage, State
+from ..session import MACHINE, RESULT
 
 _TITLES = {
     "effect_found": "Effects found.",

@@ -1,55 +1,22 @@
-"""What all stages share: title, purpose, commands with the button that runs them, and the job's output."""
+"""A page, one browser tab with all stages, and what the stages share: commands, button and output."""
 
 from __future__ import annotations
 
 import html
 import logging
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar, Literal, Protocol
+from collections.abc import Callable, Iterable
+from typing import Any, ClassVar, Literal
 
 from nicegui import ui
 
 from ..errors import InputError
-from .jobs import Job
+from .elements import banner
+from .jobs import Job, Jobs
 from .session import Session, command_text
 
 State = Literal["", "done", "running", "problem"]
-
-
-class Jobs(Protocol):
-    """The part of the window that a stage needs: the jobs of all tabs.
-
-    Attributes:
-        jobs: Last job of each stage by the stage's key.
-    """
-
-    jobs: dict[str, Job]
-
-    @property
-    def running(self) -> Job | None:
-        """The job in progress; None if there is none."""
-
-
-class Tab(Protocol):
-    """The part of a page (`window.Page`) that a stage needs."""
-
-    session: Session
-    dark: bool
-
-    @property
-    def window(self) -> Jobs:
-        """The window."""
-
-    @property
-    def stages(self) -> Mapping[str, Stage]:
-        """All stages by their keys."""
-
-    def go(self, key: str) -> None:
-        """Show a stage."""
-
-    def changed(self) -> None:
-        """Show all stages anew, after the session has changed."""
+_POLL_S = 0.3  # s between two looks at a job
 
 
 class Stage(ABC):
@@ -72,7 +39,7 @@ class Stage(ABC):
 
     container: Any
 
-    def __init__(self, page: Tab) -> None:
+    def __init__(self, page: Page) -> None:
         self.page, self.session = page, page.session
         self._code: Any = None
         self._output: Any = None
@@ -106,7 +73,7 @@ class Stage(ABC):
     @property
     def job(self) -> Job | None:
         """The last job of this stage."""
-        return self.page.window.jobs.get(self.key)
+        return self.page.jobs.get(self.key)
 
     def refresh(self) -> None:
         """Build the stage anew."""
@@ -187,7 +154,7 @@ class Stage(ABC):
 
     def run(self) -> None:
         """Run the commands of this step of the work, unless those of a stage are running."""
-        if self.page.window.running is not None:
+        if self.page.jobs.running is not None:
             ui.notify("Another command is running; wait for it, or stop it", type="warning")
             return
         try:
@@ -195,8 +162,8 @@ class Stage(ABC):
         except InputError as error:
             ui.notify(str(error), type="negative")
             return
-        self.page.window.jobs[self.key] = Job(self.session, commands)
-        self.progressed(self.page.window.jobs[self.key])
+        self.page.jobs[self.key] = Job(self.session, commands)
+        self.progressed(self.page.jobs[self.key])
 
     def stop(self) -> None:
         """Stop the commands of this step of the work, if they run."""
@@ -243,28 +210,74 @@ class Stage(ABC):
         )
 
 
-def banner(tone: Literal["good", "neutral", "warning"], title: str, text: str) -> None:
-    """Show a sentence with a colored edge, after a title in the same color, which may be empty."""
-    strong = f"<b>{html.escape(title)}</b> " if title else ""
-    ui.html(strong + html.escape(text), sanitize=False).classes(f"hf-banner hf-{tone}").props("role=status")
+class Page:
+    """The stages in one browser tab, as tabs marked by their state.
 
+    Attributes:
+        jobs: Jobs of all browser tabs.
+        dark: Whether the display is dark.
+        stages: Stages by their keys, in the order of the work.
+    """
 
-def heading(text: str) -> None:
-    """Show the heading of a part of a stage."""
-    ui.html(f"<h2>{html.escape(text)}</h2>", sanitize=False)
+    def __init__(self, session: Session, jobs: Jobs, kinds: Iterable[type[Stage]], *, dark: bool) -> None:
+        self.session, self.jobs, self.dark = session, jobs, dark
+        self.stages: dict[str, Stage] = {kind.key: kind(self) for kind in kinds}
+        self._tabs: dict[str, Any] = {}
+        self._seen: dict[str, tuple[int, bool]] = {}
+        self._bar: Any = None
 
+    def build(self) -> None:
+        """Build tabs and stages, and keep updating them from the jobs."""
+        with ui.element("nav").classes("hf-tabs"), ui.tabs() as self._bar:
+            self._bar.props("no-caps inline-label mobile-arrows outside-arrows align=left")
+            for number, stage in enumerate(self.stages.values(), start=1):
+                self._tabs[stage.key] = ui.tab(stage.key, label=f"{number} {stage.title}")
+        panels = ui.tab_panels(self._bar, value=self._first_open()).props("keep-alive").classes("w-full")
+        with panels:
+            for stage in self.stages.values():
+                with ui.tab_panel(stage.key):
+                    stage.container = (
+                        ui.element("main").classes("hf-stage").props(f'data-stage="{stage.key}"')
+                    )
+        for stage in self.stages.values():
+            stage.refresh()
+        self._bar.on_value_change(lambda event: self.stages[event.value].opened())
+        self._mark()
+        ui.timer(_POLL_S, self._look)
 
-def table(head: Sequence[str], rows: Sequence[Sequence[str]], numbers: Sequence[int] = ()) -> None:
-    """Show a table of texts; `numbers` are indices of the columns whose cells are aligned at the right."""
+    def _first_open(self) -> str:
+        """Return the first stage that is not done."""
+        return next((key for key, stage in self.stages.items() if stage.state() != "done"), "machine")
 
-    def cells(tag: str, texts: Sequence[str]) -> str:
-        parts = (
-            f"<{tag}{' class=num' if k in numbers else ''}>{html.escape(text)}</{tag}>"
-            for k, text in enumerate(texts)
-        )
-        return f"<tr>{''.join(parts)}</tr>"
+    def go(self, key: str) -> None:
+        """Show the stage with a key."""
+        self._bar.set_value(key)
 
-    body = "".join(cells("td", row) for row in rows)
-    with ui.element("div").classes("hf-scroll"):
-        content = f'<table class="hf-table"><thead>{cells("th", head)}</thead><tbody>{body}</tbody></table>'
-        ui.html(content, sanitize=False)
+    def changed(self) -> None:
+        """Show all stages anew after something in the session has changed."""
+        for stage in self.stages.values():
+            stage.refresh()
+        self._mark()
+
+    def _look(self) -> None:
+        """Show what the jobs have done since the last look."""
+        for key, job in self.jobs.items():
+            seen = id(job), job.running
+            before = self._seen.get(key)
+            if before != seen or job.running:
+                self._seen[key] = seen
+                if before == (id(job), True) and not job.running:
+                    self.changed()
+                    self.stages[key].finished(job)
+                else:
+                    self.stages[key].progressed(job)
+                    self._mark()
+
+    def _mark(self) -> None:
+        """Mark the tabs by the state of their stages."""
+        for key, stage in self.stages.items():
+            job = self.jobs.get(key)
+            state: State = "running" if job is not None and job.running else stage.state()
+            self._tabs[key].classes(
+                remove="hf-done hf-running hf-problem", add=f"hf-{state}" if state else ""
+            )

@@ -8,15 +8,16 @@ from nicegui import events, ui
 from nicegui.element import Element
 from typing_extensions import override
 
-from ..dynamics import belt_modes
-from ..errors import InputError
-from ..identification.report.units import readable_unit
-from ..machine import Machine, motion_limits, written_unit
-from ..recordings import TEMPLATES, TemplateQuestion, implausible_values, template_questions
-from ..web_page import number
-from .session import CONTROL, EXPORTS, FINDINGS, MACHINE, RESULT, RUNS, new_machine_command
-from .stage import Stage, State, banner, heading, table
-from .stage_drawing import drawing_of
+from ...dynamics import belt_modes
+from ...errors import InputError
+from ...identification.report.units import readable_unit
+from ...machine import Machine, motion_limits, written_unit
+from ...recordings import TEMPLATES, TemplateQuestion, implausible_values, template_questions
+from ...web_page import number
+from ..elements import banner, heading, table
+from ..page import Page, Stage, State
+from ..session import CONTROL, EXPORTS, FINDINGS, MACHINE, RESULT, RUNS, new_machine_command
+from ..stage_drawing import drawing_of
 
 _MODES = 3  # natural frequencies that the table lists
 _OF_MACHINE = (RUNS, FINDINGS, RESULT, CONTROL, EXPORTS)  # what belongs to one machine
@@ -40,7 +41,7 @@ class MachineStage(Stage):
         "it needs the right structure and the right order of magnitude."
     )
 
-    def __init__(self, page: Any) -> None:
+    def __init__(self, page: Page) -> None:
         super().__init__(page)
         self._like = "hframe"
         self._values: dict[str, str | bool | list[str]] = {}

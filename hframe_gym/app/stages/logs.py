@@ -10,9 +10,9 @@ from typing import Any
 from nicegui import events, run, ui
 from typing_extensions import override
 
-from ..errors import InputError
-from ..machine import Machine
-from ..recordings import (
+from ...errors import InputError
+from ...machine import Machine
+from ...recordings import (
     NOT_MEASURED,
     TIME,
     Interval,
@@ -23,10 +23,11 @@ from ..recordings import (
     propose_columns,
     run_of,
 )
-from .log_chart import LogChart
-from .log_columns import LogView, open_log, run_size, view_log
-from .session import CONTROL, EXPORTS, FINDINGS, RESULT, RUNS, ImportChoices, import_command
-from .stage import Stage, State, banner, heading, table
+from ..elements import banner, heading, table
+from ..log_chart import LogChart
+from ..log_columns import LogView, open_log, run_size, view_log
+from ..page import Page, Stage, State
+from ..session import CONTROL, EXPORTS, FINDINGS, RESULT, RUNS, ImportChoices, import_command
 
 _RATE = "rate"
 _AS_LOGGED = ""
@@ -48,7 +49,7 @@ class LogsStage(Stage):
         "Each column is drawn with what it is taken for; correct what is wrong, then import."
     )
 
-    def __init__(self, page: Any) -> None:
+    def __init__(self, page: Page) -> None:
         super().__init__(page)
         self._choices = ImportChoices()
         self._split = ""

@@ -11,15 +11,15 @@ from typing import Any, NamedTuple
 from nicegui import run, ui
 from typing_extensions import override
 
-from ..data_validation import Finding, group_findings
-from ..errors import InputError
-from ..machine import Machine
-from ..recordings import run_name
-from .charts import curves_chart
-from .log_columns import Curve, run_curves, simulated_outputs
-from .session import FINDINGS, check_command
-from .shown_charts import redraw, show_curves
-from .stage import Stage, State, banner, heading, table
+from ...data_validation import Finding, group_findings
+from ...errors import InputError
+from ...machine import Machine
+from ...recordings import run_name
+from ..charts import curves_chart
+from ..elements import banner, heading, redraw, show_curves, table
+from ..log_columns import Curve, run_curves, simulated_outputs
+from ..page import Page, Stage, State
+from ..session import FINDINGS, check_command
 
 _TONES = {"fault": ("warning", "Fault"), "advice": ("neutral", "Advice"), "note": ("good", "Note")}
 _LEGEND = "Blue: measured. Orange: simulated from the inputs with the machine as declared."
@@ -44,7 +44,7 @@ class CheckStage(Stage):
         "A fault makes a fit meaningless; advice is worth a look."
     )
 
-    def __init__(self, page: Any) -> None:
+    def __init__(self, page: Page) -> None:
         super().__init__(page)
         self._run = ""
         self._wanted: list[_Wanted] = []
