@@ -12,6 +12,7 @@ from ...machine import BUILTIN_MACHINES, RADIANS, Machine
 from .drives import COMMANDS, FOLLOWING
 from .options import MachineOptions
 from .sensors import QUADRATURE, further_sensors
+from .texts import TEMPLATES
 
 _MEASURED = "Does a sensor measure {} directly?"
 # m; larger values are refused, they are in millimeters.
@@ -147,7 +148,14 @@ def _check_that_options_apply(like: str, options: MachineOptions) -> None:
         applies.update(both)
     for info in dataclasses.fields(options):
         if info.name not in applies and getattr(options, info.name) not in (info.default, None):
-            raise InputError(f"{_flag(info.name)}: {like} has none; see `hframe machines new --help`")
+            others = ", ".join(name for name in TEMPLATES if name != like and _has_option(name, info.name))
+            remedy = f"leave it out, or begin from one that has it: --like {others}"
+            raise InputError(f"{_flag(info.name)}: {like} has none; {remedy}")
+
+
+def _has_option(like: str, option: str) -> bool:
+    """Return whether a template asks about an option, or about its alternative."""
+    return any(option in (q.option, q.alternative) for q in template_questions(like))
 
 
 def _flag(option: str) -> str:

@@ -320,7 +320,11 @@ def test_a_preset_reaches_its_goals_with_the_controller_for_its_drives(name: str
         ("corexy", {"travel": (300.0, 200.0)}, "--travel 300: is it in millimeters"),
         ("corexy", {"encoder_lines": 0, "linear_sensor": False}, "no sensor is left"),
         ("corexy", {"drive": "curent"}, "did you mean 'current'?"),
-        ("servo", {"drive": "current"}, "--drive: servo has none"),
+        (
+            "servo",
+            {"drive": "current"},
+            "--drive: servo has none; leave it out, or begin from one that has it: --like hframe, ",
+        ),
         (
             "printer",
             {"drive": "current"},
