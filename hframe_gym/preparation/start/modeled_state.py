@@ -18,14 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...arrays import Array, Quanta
-from ...machine import Machine, rest_state
+from ...machine import AppliedEffect, Machine, Sensor, rest_state
 from ...recordings import Recording
 from .belt_stretch import linear_coordinates, rigid_basis, static_equilibrium
 from .encoder_zeros import EncoderZeros, zero_tolerance
 from .measured_state import InitialState, estimate_initial_state
 
 _INVERSION_STEPS = 4  # Each leaves a few hundredths of the error.
-_INVERSION_TOLERANCE = 1e-6  # m
+_INVERSION_TOLERANCE = 1e-6  # m or rad
 _ENCODER_WEIGHT = 1e-3  # of encoders beside lasers, which determine the position where they can
 _STRETCH_STEPS = 2  # The force at rest changes little with the stretch of the belts.
 
@@ -100,7 +100,7 @@ def _switched_on_anew(
     for j in np.flatnonzero(zeros.known & np.isfinite(alone.zeroed_measurement)):
         i = machine.coordinate_names.index(machine.sensors[j].coordinate)
         row = machine.sensors[j].row[machine.sensors[j].coordinate]
-        angle = _concentric_angle(machine, i, (alone.zeroed_measurement[j] - zeros.values[j]) / row)
+        angle = _angle_of_encoder(machine, j, alone.zeroed_measurement[j] - zeros.values[j])
         moved[j] = abs(row) * abs(angle - equilibrium[i]) > tolerance[j]
     return moved
 
@@ -114,8 +114,8 @@ def model_initial_states(machine: Machine, initial: Sequence[InitialState]) -> l
 
     Zeros that were estimated without an effect may be wrong and would indicate a belt stretch that does not
     exist. Therefore, until `refine_encoder_zeros` has corrected them, the static equilibrium gives the angles
-    of eccentric pulleys as well, and the angles of all pulleys if an effect changes what a laser measures at
-    rest.
+    of eccentric pulleys and of those whose encoder an effect falsifies as well, and the angles of all pulleys
+    if an effect changes what a laser measures at rest.
 
     Args:
         machine: Machine with its effects; structural ones may have added coordinates.
@@ -152,13 +152,13 @@ def _set_encoder_angles(machine: Machine, initial: InitialState, measured: Array
     # corrected yet.
     if not initial.zeros_refined and not np.array_equal(measured, initial.position):
         return
-    eccentric = [
+    falsified = [
         machine.coordinate_of_site(e.site, e.definition.site)
         for e in machine.effects
-        if e.definition.rest_angle_offset
+        if e.definition.rest_angle_offset or e.definition.measurement
     ]
     for i, angle in _encoder_angles(machine, initial).items():
-        if initial.zeros_refined or machine.coordinate_names[i] not in eccentric:
+        if initial.zeros_refined or machine.coordinate_names[i] not in falsified:
             positions[i] = angle
     # Friction holds one side; belts pull the other as far as the gap permits.
     for contact in machine.contacts:
@@ -170,13 +170,23 @@ def _set_encoder_angles(machine: Machine, initial: InitialState, measured: Array
 def _encoder_angles(machine: Machine, initial: InitialState) -> dict[int, float]:
     """Return the angles at rest, rad, by index of each pulley whose encoder has a zero and resolves stretch.
 
-    The angle of an eccentric pulley is that of a concentric pulley with the same belt travel.
+    What effects add to the measurements of the encoder is removed. The angle of an eccentric pulley is that
+    of a concentric pulley with the same belt travel.
     """
     angles: dict[int, float] = {}
     for j in np.flatnonzero(initial.resolves_stretch):
-        i = machine.coordinate_names.index(machine.sensors[j].coordinate)
-        angles[i] = _concentric_angle(machine, i, float(initial.state[i]))
+        sensor = machine.sensors[j]
+        i = machine.coordinate_names.index(sensor.coordinate)
+        measured = sensor.row[sensor.coordinate] * float(initial.state[i])
+        angles[i] = _angle_of_encoder(machine, int(j), measured)
     return angles
+
+
+def _angle_of_encoder(machine: Machine, j: int, measured: float) -> float:
+    """Convert the measurement of encoder j at rest, minus its zero, to the angle of its concentric pulley, rad."""
+    sensor = machine.sensors[j]
+    angle = _without_errors_of_sensor(machine, j, measured) / sensor.row[sensor.coordinate]
+    return _concentric_angle(machine, machine.coordinate_names.index(sensor.coordinate), angle)
 
 
 def _concentric_angle(machine: Machine, index: int, angle: float) -> float:
@@ -213,9 +223,8 @@ def _position_from_measurements(machine: Machine, initial: InitialState) -> Arra
     for _ in range(_STRETCH_STEPS):
         zeroed = np.nan_to_num(initial.zeroed_measurement)
         for j in encoders:
-            i = machine.coordinate_names.index(machine.sensors[j].coordinate)
             row = machine.sensors[j].row[machine.sensors[j].coordinate]
-            zeroed[j] = row * _concentric_angle(machine, i, zeroed[j] / row) - stretch[j]
+            zeroed[j] = row * _angle_of_encoder(machine, int(j), zeroed[j]) - stretch[j]
         unstretched = initial.position_matrix @ zeroed
         position = _without_measurement_effects(machine, initial, unstretched)
         at_rest = rest_state(machine, position[linear_coordinates(machine)[: len(position)]])
@@ -227,24 +236,38 @@ def _position_from_measurements(machine: Machine, initial: InitialState) -> Arra
 def _without_measurement_effects(machine: Machine, initial: InitialState, position: Array) -> Array:
     """Invert the effects on the measurements of lasers in positions (coordinates,), in place."""
     names = machine.coordinate_names
-    for e in machine.effects:
-        if not e.definition.measurement or not machine.sensor(e.site).fixed:
+    for j, sensor in enumerate(machine.sensors):
+        if not sensor.fixed or not sensor.of_position:
             continue
-        sensor = machine.sensor(e.site)
-        j = machine.output_channels.index(e.site)
         if len(initial.zeroed_measurement) and not np.isfinite(initial.zeroed_measurement[j]):
             continue  # Encoders determined this position.
         i, other = names.index(sensor.coordinate), machine.other_axis(sensor.coordinate)
-        measured, across = float(position[i]), position[names.index(other)] if other else 0.0
+        across = float(position[names.index(other)]) if other else 0.0
+        position[i] = _without_errors_of_sensor(machine, j, float(position[i]), across)
+    return position
+
+
+def _without_errors_of_sensor(machine: Machine, j: int, measured: float, across: float = 0.0) -> float:
+    """Invert the effects on the measurement of sensor j, m or rad; effects that have no inverse stay.
+
+    Args:
+        across: Position of the other linear coordinate, m.
+    """
+    channel, sensor = machine.output_channels[j], machine.sensors[j]
+    effects = [e for e in machine.effects if e.site == channel and e.definition.measurement]
+    for e in sorted(effects, key=lambda e: e.definition.signal_order, reverse=True):
         inverse = measured
         for _ in range(_INVERSION_STEPS):
-            inverse -= float(e("measurement", r=inverse, q=inverse, across=across)) - measured
-        if (
-            abs(float(e("measurement", r=inverse, q=inverse, across=across)) - measured)
-            < _INVERSION_TOLERANCE
-        ):
-            position[i] = inverse
-    return position
+            inverse -= _measured(e, sensor, inverse, across) - measured
+        if abs(_measured(e, sensor, inverse, across) - measured) < _INVERSION_TOLERANCE:
+            measured = inverse
+    return measured
+
+
+def _measured(effect: AppliedEffect, sensor: Sensor, value: float, across: float) -> float:
+    """Return what a sensor with an effect measures, m or rad, where its measurement should be `value`."""
+    q = value / sensor.row[sensor.coordinate]
+    return float(effect("measurement", r=value, q=q, across=across))
 
 
 def encoder_zero_errors(machine: Machine, initial: Sequence[InitialState]) -> Array:
