@@ -183,7 +183,7 @@ def _encoder_angles(machine: Machine, initial: InitialState) -> dict[int, float]
 
 
 def _angle_of_encoder(machine: Machine, j: int, measured: float) -> float:
-    """Convert the measurement of encoder j at rest, minus its zero, to the angle of its concentric pulley, rad."""
+    """Convert what encoder j measures at rest, minus its zero, to the angle of a concentric pulley, rad."""
     sensor = machine.sensors[j]
     angle = _without_errors_of_sensor(machine, j, measured) / sensor.row[sensor.coordinate]
     return _concentric_angle(machine, machine.coordinate_names.index(sensor.coordinate), angle)

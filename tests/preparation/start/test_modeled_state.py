@@ -19,7 +19,7 @@ from hframe_gym.identification import (
     simulate_recording,
 )
 from hframe_gym.identification.fit.channel_errors import channel_errors
-from hframe_gym.machine import BUILTIN_MACHINES, Belt, Machine, rest_state
+from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Belt, Machine, rest_state
 from hframe_gym.preparation.session_zeros import refine_encoder_zeros
 from hframe_gym.preparation.start.belt_stretch import static_equilibrium
 from hframe_gym.preparation.start.modeled_state import encoder_zero_errors, model_initial_states
@@ -135,6 +135,42 @@ def test_an_eccentric_pulley_rests_where_the_simulator_has_it(hframe: Machine) -
     # The state is that of a round pulley, whose belts are unstretched, up to second order in e / r.
     assert abs(model_initial_states(machine, [initial])[0][3] - rigid(position)[1]) < 2 * (e / RADIUS) ** 2
     assert abs(measured[1] - rigid(position)[1]) > 20 * (e / RADIUS) ** 2
+
+
+ENCODER_ERRORS = [
+    EFFECTS["eccentric_encoder"].at("phi2_rad", A=0.02, p=0.7),
+    EFFECTS["interpolation_error"].at("phi2_rad", A=0.005, n=12.0, p=0.7),
+    EFFECTS["sensor_scale"].at("phi2_rad", g=0.01),
+]
+
+
+@pytest.mark.parametrize("effect", ENCODER_ERRORS, ids=lambda effect: effect.name)
+def test_what_an_encoder_adds_is_no_stretch_of_the_belts(hframe: Machine, effect: AppliedEffect) -> None:
+    """Not even before the zeros are refined, which a wrong machine has estimated."""
+    position, machine = np.array([0.06, -0.03]), hframe.with_effects(effect)
+    angles = rigid(position) + np.array([0.0, 1e-3])
+    measured = angles.copy()
+    measured[1] = effect("measurement", r=angles[1], q=angles[1], across=0.0)
+    initial = dataclasses.replace(initial_at(position, measured, known=True), zeros_refined=True)
+    np.testing.assert_allclose(model_initial_states(machine, [initial])[0][2:4], angles, atol=1e-6)
+    unrefined = initial_at(position, measured, known=True)
+    np.testing.assert_allclose(
+        model_initial_states(machine, [unrefined])[0][2:4], rigid(position), atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("effect", ENCODER_ERRORS, ids=lambda effect: effect.name)
+def test_zeros_are_refined_for_what_an_encoder_adds(hframe: Machine, effect: AppliedEffect) -> None:
+    """The zeros had been the mean over all runs, which contains the mean of this error."""
+    wrong = np.array([0.0, -6e-3])
+    machine = hframe.with_effects(effect)
+    initial = []
+    for position in POSITIONS:
+        measured = rigid(position)
+        measured[1] = effect("measurement", r=measured[1], q=measured[1], across=0.0)
+        initial.append(initial_at(position, measured + wrong, known=True))
+    errors = encoder_zero_errors(machine, initial)
+    np.testing.assert_allclose(errors[:2], wrong, atol=0.07 * abs(wrong[1]))  # it is found to first order
 
 
 @pytest.mark.parametrize(("stretch", "left"), [(5e-3, 3e-3), (-5e-3, -3e-3), (1e-3, 0.0)])
