@@ -100,7 +100,7 @@ def _switched_on_anew(
     for j in np.flatnonzero(zeros.known & np.isfinite(alone.zeroed_measurement)):
         i = machine.coordinate_names.index(machine.sensors[j].coordinate)
         row = machine.sensors[j].row[machine.sensors[j].coordinate]
-        angle = _angle_of_encoder(machine, j, alone.zeroed_measurement[j] - zeros.values[j])
+        angle = _angle_of_encoder(machine, int(j), alone.zeroed_measurement[j] - zeros.values[j])
         moved[j] = abs(row) * abs(angle - equilibrium[i]) > tolerance[j]
     return moved
 
