@@ -79,7 +79,7 @@ def table_at(machine: Machine, name: str, site: str) -> AppliedEffect:
 
 def formula_of(*terms: Term) -> Formula:
     """Return a formula with the amplitudes 1, 2, ... and shapes near 0.3."""
-    count = sum(len(term.columns) for term in terms)
+    count = sum(len(term.expressions) for term in terms)
     shapes = tuple(tuple(0.3 + 0.1 * i for i in range(len(term.shapes))) for term in terms)
     return Formula(terms, tuple(1.0 + i for i in range(count)), shapes, 0.1)
 

@@ -127,7 +127,7 @@ class FormulaEffect:
         """Yield, for each term, the names of its amplitudes, and those of its shape parameters by role."""
         for index, term in enumerate(self.formula.terms):
             letter, suffix = _LETTERS[index], "" if index == 0 else str(index + 1)
-            count = len(term.columns)
+            count = len(term.expressions)
             amplitudes = [letter] if count == 1 else [f"{letter}{i + 1}" for i in range(count)]
             yield amplitudes, {role: f"{role}{suffix}" for role in term.shapes}
 

@@ -152,7 +152,7 @@ class Formula:
         amplitudes: list[float] = []
         shapes: list[tuple[float, ...]] = []
         for term in self.terms:
-            amplitudes += [next(remaining) for _ in term.columns]
+            amplitudes += [next(remaining) for _ in term.expressions]
             shapes.append(tuple(next(remaining) for _ in term.shapes))
         return dataclasses.replace(self, amplitudes=tuple(amplitudes), shapes=tuple(shapes))
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cache
 from typing import Any, Literal
 
 import numpy as np
@@ -88,69 +88,31 @@ def stribeck(u, width):  # type: ignore[no-untyped-def]
     return exp(-(u / width) * (u / width))
 
 
-def _constant(u: Any) -> Any:
-    """Return 1 for every value of the variable."""
-    return 0.0 * u + 1.0
-
-
-def _line(u: Any) -> Any:
-    """Return the variable."""
-    return u
-
-
-def _square(u: Any) -> Any:
-    """Return the square of the variable."""
-    return u * u
-
-
-def _cube(u: Any) -> Any:
-    """Return the cube of the variable."""
-    return u * u * u
-
-
-def _size(u: Any) -> Any:
-    """Return the size of the variable."""
-    return absolute(u)
-
-
-def _signed_square(u: Any) -> Any:
-    """Return the square of the variable with its sign."""
-    return u * absolute(u)
-
-
-def _root(u: Any) -> Any:
-    """Return the square root of the variable's size."""
-    return sqrt(absolute(u))
-
-
-def _sine(u: Any, period: Any, order: int) -> Any:
-    """Return the sine of a harmonic of a period."""
-    return sin(2.0 * math.pi * order * u / period)
-
-
-def _cosine(u: Any, period: Any, order: int) -> Any:
-    """Return the cosine of a harmonic of a period."""
-    return cos(2.0 * math.pi * order * u / period)
+@cache
+def _function(expression: str, shapes: tuple[str, ...]) -> Callable[..., Any]:
+    """Return the function (u, *shapes) of an expression of a term."""
+    arguments = ("u", *shapes)
+    text = f"lambda {', '.join(arguments)}: {expression.format(**{name: name for name in arguments})}"
+    return eval(text, {"math": math, "sin": sin, "cos": cos, **globals()})  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True)
 class Term:
-    """One summand of a formula: amplitudes times columns, functions of the variable u and shape parameters.
+    """One summand of a formula: amplitudes times expressions of the variable u and shape parameters.
 
     Attributes:
         name: Name of the term in plain words, for example "magnetic catch".
-        columns: Functions (u, *shapes) -> value at amplitude 1, one for each amplitude.
-        expressions: Text of each column, with {u} and the names of the shapes in braces.
+        expressions: Value at amplitude 1 as Python source, one for each amplitude, with {u} and the names of
+            the shapes in braces.
         shapes: Role of each shape parameter: "center" (a value of the variable), "width" (positive, in the
             unit of the variable) or "period" (positive, in that unit).
-        powers: Power of the variable's unit in each column; the amplitude has the unit of force /
+        powers: Power of the variable's unit in each expression; the amplitude has the unit of force /
             variable**power.
         helper: Function that the expressions call; its source is copied into a written effect. None: no
             function.
     """
 
     name: str
-    columns: tuple[Callable[..., Any], ...]
     expressions: tuple[str, ...]
     shapes: tuple[ShapeRole, ...] = ()
     powers: tuple[int | float, ...] = (0,)
@@ -159,7 +121,7 @@ class Term:
     @property
     def complexity(self) -> int:
         """Number of parameters: amplitudes and shapes."""
-        return len(self.columns) + len(self.shapes)
+        return len(self.expressions) + len(self.shapes)
 
     def values(self, u: Array, shapes: Array) -> Array:
         """Return the value of each function (column) at amplitude 1, shape (n, columns).
@@ -169,7 +131,8 @@ class Term:
             shapes: Shape parameters in the order of the attribute `shapes`, shape (parameters,), in the unit
                 of the variable.
         """
-        return np.stack([np.asarray(column(u, *shapes), float) for column in self.columns], axis=1)
+        columns = (_function(expression, self.shapes)(u, *shapes) for expression in self.expressions)
+        return np.stack([np.broadcast_to(column, u.shape) for column in columns], axis=1)
 
     def grid(self, low: float, high: float) -> list[tuple[float, ...]]:
         """Return start values for fitting the shape parameters: all combinations of centers, widths, periods.
@@ -197,29 +160,28 @@ class Term:
 def _shaped(name: str, function: Callable[..., Any], *shapes: ShapeRole, power: int = 0) -> Term:
     """Return a term of one column that calls a function of this module."""
     arguments = ", ".join("{" + role + "}" for role in shapes)
-    return Term(name, (function,), (f"{function.__name__}({{u}}, {arguments})",), shapes, (power,), function)
+    return Term(name, (f"{function.__name__}({{u}}, {arguments})",), shapes, (power,), function)
 
 
 def _periodic(harmonics: int) -> Term:
     """Return a periodic term: sine and cosine of the first harmonics."""
     orders = range(1, harmonics + 1)
-    functions = [partial(f, order=order) for order in orders for f in (_sine, _cosine)]
     expressions = [
         f"{f}({2 * order} * math.pi * {{u}} / {{period}})" for order in orders for f in ("sin", "cos")
     ]
     name = "periodic" if harmonics == 1 else f"periodic with {harmonics} harmonics"
-    return Term(name, tuple(functions), tuple(expressions), ("period",), (0,) * (2 * harmonics))
+    return Term(name, tuple(expressions), ("period",), (0,) * (2 * harmonics))
 
 
-_OFFSET = Term("constant", (_constant,), ("1.0",))
+_OFFSET = Term("constant", ("1.0",))
 _POLYNOMIALS = (
-    Term("line", (_line,), ("{u}",), powers=(1,)),
-    Term("square", (_square,), ("{u} * {u}",), powers=(2,)),
-    Term("cube", (_cube,), ("{u} * {u} * {u}",), powers=(3,)),
+    Term("line", ("{u}",), powers=(1,)),
+    Term("square", ("{u} * {u}",), powers=(2,)),
+    Term("cube", ("{u} * {u} * {u}",), powers=(3,)),
 )
-_SIGNED_SQUARE = Term("signed square", (_signed_square,), ("{u} * absolute({u})",), powers=(2,))
-_SIZE = Term("size", (_size,), ("absolute({u})",), powers=(1,))
-_ROOT = Term("root", (_root,), ("sqrt(absolute({u}))",), powers=(0.5,))
+_SIGNED_SQUARE = Term("signed square", ("{u} * absolute({u})",), powers=(2,))
+_SIZE = Term("size", ("absolute({u})",), powers=(1,))
+_ROOT = Term("root", ("sqrt(absolute({u}))",), powers=(0.5,))
 _STEPS = (_shaped("step", step, "center", "width"), _shaped("slow step", slow_step, "center", "width"))
 _BUMPS = (_shaped("bump", bump, "center", "width"), _shaped("resonance", resonance, "center", "width"))
 _CATCHES = (
