@@ -1,8 +1,8 @@
 """Learned controllers: training by recipe, agents on disk, and the agents that come with the package.
 
-Training and running an agent need the extra `agents` (stable-baselines3, torch, safetensors, tensorboard).
-Importing this package does not; it registers trained agents as controllers for
-`hframe_gym.evaluation.make_controller`.
+Training and running an agent need the extra `agents` (stable-baselines3, torch, safetensors, tensorboard); an
+ImportError names it where it is missing. Importing this package does not need it; this registers trained
+agents as controllers for `hframe_gym.evaluation.make_controller`.
 """
 
 from .agent import Agent

@@ -74,9 +74,6 @@ def policy_class(kind: str, actuation: Mapping[str, Any]) -> Any:
     Args:
         kind: Algorithm, one of `ALGORITHMS` of recipe.py, such as "ppo".
         actuation: Keyword arguments of `ResidualAction`: the table [actuation] of a recipe.
-
-    Raises:
-        ImportError: If the extra `agents` is not installed.
     """
     if kind == "crossq":
         # CrossQ has no policy for dicts. This one accepts them, because its first layer is
@@ -222,7 +219,6 @@ class Agent(Controller):
             InputError: If a file is missing, damaged or of another version, or the machine has other numbers
                 of axes, observed coordinates or drives than that of the training, or lacks a transfer of the
                 agent.
-            ImportError: If the extra `agents` is not installed.
         """
         path = Path(folder)
         complete_commit(path)
@@ -269,7 +265,6 @@ def load_weights(policy: Any, folder: Path) -> None:
     Raises:
         InputError: If the file is missing or damaged, lacks weights of the policy, or has weights that the
             policy lacks or that are not finite.
-        ImportError: If the extra `agents` is not installed.
     """
     safetensors = import_optional("safetensors.torch")
     file = folder / "policy.safetensors"

@@ -40,7 +40,6 @@ class AgentSource(ControllerSource):
         Raises:
             InputError: If the package has the agent for other tasks only, the folder holds no agent, its
                 files are damaged, or the training had other numbers of axes, observed coordinates or drives.
-            ImportError: If the extra `agents` is not installed.
         """
         folder = _agent_folder(name, scenario.task_name)
         if folder is None:
@@ -147,7 +146,6 @@ def start_agent_folder(recipe: Recipe, task: str, machine: Machine, previews: in
     Raises:
         InputError: If there is no such agent, or if it was trained on a machine with other numbers of axes,
             observed coordinates or drives, or with another number of future goals.
-        ImportError: If the extra `agents` is not installed.
     """
     folder = shipped_agent_folder(recipe.start, recipe_task(task))
     agent = Agent.load(folder)

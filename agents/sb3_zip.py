@@ -89,7 +89,6 @@ class ZipSource(ControllerSource):
             InputError: If the file is no model of stable-baselines3, its observations or actions are not
                 those of an environment of this scenario (the message says which are missing), or
                 `VecNormalize` scaled them.
-            ImportError: If the extra `agents` is not installed.
         """
         if not _is_zip(name):
             return None

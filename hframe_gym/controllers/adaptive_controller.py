@@ -54,10 +54,6 @@ class AdaptiveController(FullStateController):
             the goal does not move.
         feature_sizes: Numbers of columns of `expected_friction` and `estimates`, by name; a learned policy
             that corrects this controller may observe both.
-
-    Raises:
-        InputError: If the machine does not have one drive per axis of its tool, an axis has no range, or the
-            period is invalid.
     """
 
     knowledge: ClassVar[str] = "feedback laws, estimates parameters"

@@ -140,7 +140,8 @@ class FullStateController(Controller):
         model: Model of the machine for the design.
 
     Raises:
-        InputError: If the machine does not have one drive per axis of its tool, or the period is invalid.
+        InputError: If the machine does not have one drive per axis of its tool, an axis has no range where
+            the design needs it, or the period is invalid.
     """
 
     def __init__(self, machine: Machine, period: float = 0.01) -> None:

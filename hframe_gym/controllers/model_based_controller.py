@@ -69,10 +69,6 @@ class ModelBasedController(FullStateController):
 
     Attributes:
         transfers: Feedback gains of the motions to rest at a fixed goal (point-to-point motion).
-
-    Raises:
-        InputError: If the machine does not have one drive per axis of its tool, an axis has no range, or the
-            period is invalid.
     """
 
     feedback: ClassVar[Feedback] = "estimated_state"

@@ -58,10 +58,6 @@ class PredictiveController(FullStateController):
     Attributes:
         feature_sizes: Number of columns of `estimates`, by name; a learned policy on top of this controller
             observes them.
-
-    Raises:
-        InputError: If the machine does not have one drive per axis of its tool, an axis has no range, or the
-            period is invalid.
     """
 
     feedback: ClassVar[Feedback] = "estimated_state"

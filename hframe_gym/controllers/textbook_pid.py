@@ -32,9 +32,6 @@ class TextbookPID(FullStateController):
         derivative: Derivative gains of the axes, Ns/m, shape (axes,).
         integral: Integral gains of the axes, N/(m s), shape (axes,).
 
-    Raises:
-        InputError: If the machine does not have one drive per axis, or the period is not positive.
-
     References:
         Astrom and Hagglund (2006), Advanced PID Control, chapter 6.
     """

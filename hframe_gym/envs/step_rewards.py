@@ -111,6 +111,8 @@ def _evaluate_step(
 class StepRewards:
     """Compute the rewards of steps, and of relabeled goals, by a reward function.
 
+    Of an observation, they need `achieved_goal` and `desired_goal`.
+
     Args:
         observation_format: Converts between positions and goals as observed.
         moving: Whether goals move, so that the desired goal before a step differs from that after it.
@@ -152,10 +154,6 @@ class StepRewards:
         """Store the goals of an observation in the rows `index`, where episodes start.
 
         Only the reward "progress" needs them; for others this method does nothing.
-
-        Args:
-            observation: Arrays by key, of which `achieved_goal` and `desired_goal`, m or rad,
-                shape (count, axes), are used.
         """
         for key in self._keys:
             for goals in (self._before, self._after):
@@ -194,8 +192,6 @@ class StepRewards:
 
         Args:
             rows: The environments, a slice with start and stop.
-            observation: Arrays by key, of which `achieved_goal` and `desired_goal`, m or rad,
-                shape (count, axes), are used.
             tool: True tool positions, m or rad, shape (count, axes).
             distance: Output, distances from `tool` to the goals, m or rad, shape (count,); other rows are not
                 changed.
@@ -209,10 +205,6 @@ class StepRewards:
         """Store the goals after a step for the `info` of the next one.
 
         Call it once per step if the attribute `compares_steps` is True (reward "progress").
-
-        Args:
-            observation: Observation after the step, of which `achieved_goal` and `desired_goal`, m or rad,
-                shape (count, axes), are used.
         """
         self._before, self._after = self._after, {key: observation[key].copy() for key in self._keys}
 
@@ -220,10 +212,6 @@ class StepRewards:
         """Compute the rewards of the last step, shape (count,), if the attribute `compiled` is False.
 
         Call `keep_goals` before if `compares_steps` is True.
-
-        Args:
-            observation: Observation after the step, of which `achieved_goal` and `desired_goal`, m or rad,
-                shape (count, axes), are used.
         """
         achieved, desired = (
             self._format.goal_as_observed(observation[f"{key}_goal"]) for key in ("achieved", "desired")

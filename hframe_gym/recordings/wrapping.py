@@ -54,7 +54,7 @@ class Wrap(NamedTuple):
         modulus: Size of the jumps, in the unit of the values.
         name: Description of the modulus, such as "one turn" or "a counter of 16 bits".
         jumps: Number of jumps.
-        lost: Number of measurements at no valid angle, see `lost_rows`.
+        lost: Number of measurements at no valid angle, see `_lost_rows`.
     """
 
     modulus: float
@@ -107,7 +107,7 @@ def find_wrap(values: Array, moduli: Mapping[float, str]) -> Wrap | None:
         jumps have no known size, if the values extend over more than one modulus, or if the motion is so fast
         that its direction at a jump is ambiguous.
     """
-    measured = values[np.isfinite(values) & ~switching_rows(values)]
+    measured = values[np.isfinite(values) & ~_switching_rows(values)]
     changes = np.diff(measured)
     changes = changes[changes != 0.0]  # repeated values do not matter
     extent = float(np.ptp(measured)) if len(measured) else 0.0
@@ -125,7 +125,7 @@ def find_wrap(values: Array, moduli: Mapping[float, str]) -> Wrap | None:
         return None
     if extent > (1.0 + _TOLERANCE) * modulus + smallest:
         return None
-    return Wrap(modulus, moduli[modulus], len(jumps), int(np.count_nonzero(lost_rows(values))))
+    return Wrap(modulus, moduli[modulus], len(jumps), int(np.count_nonzero(_lost_rows(values))))
 
 
 def _motion_around(changes: Array, jump: int, extent: float) -> float:
@@ -136,17 +136,11 @@ def _motion_around(changes: Array, jump: int, extent: float) -> float:
     return float(np.median(regular)) if moves else 0.0
 
 
-def switching_rows(values: Array) -> NDArray[np.bool_]:
-    """Return the rows measured while the sensor switched from one end of its range to the other.
+def _switching_rows(values: Array) -> NDArray[np.bool_]:
+    """Return the rows (n,) measured while the sensor switched from one end of its range to the other.
 
     Such a value lies between the one before and the one after it, which are more than half of the range
     apart, and it is farther away from both than regular changes are large.
-
-    Args:
-        values: Values of one channel, NaN where not measured, shape (n,).
-
-    Returns:
-        Rows whose value is at no valid angle if the values wrap, shape (n,).
     """
     switching = np.zeros(len(values), np.bool_)
     measured = np.flatnonzero(np.isfinite(values))
@@ -162,21 +156,15 @@ def switching_rows(values: Array) -> NDArray[np.bool_]:
     return switching
 
 
-def lost_rows(values: Array) -> NDArray[np.bool_]:
-    """Return the rows in which values that wrap are at no valid angle.
+def _lost_rows(values: Array) -> NDArray[np.bool_]:
+    """Return the rows (n,) in which values that wrap are at no valid angle.
 
-    They were measured while the sensor switched from one end to the other (`switching_rows`), or while it
+    They were measured while the sensor switched from one end to the other (`_switching_rows`), or while it
     rested at an end, in a dead angle: within a few changes of nearly all jumps, the value stays at the
     smallest or largest one for several times as long as usual. The changes between rest and jump belong to
     the dead angle as well.
-
-    Args:
-        values: Values of one channel that wraps, NaN where not measured, shape (n,).
-
-    Returns:
-        Rows, shape (n,).
     """
-    lost = switching_rows(values)
+    lost = _switching_rows(values)
     measured = np.flatnonzero(np.isfinite(values) & ~lost)
     kept = values[measured]
     changes = np.diff(kept)
@@ -212,9 +200,9 @@ def unwrapped(values: Array, modulus: float, time_s: Times) -> Array:
 
     Returns:
         Copy that begins with the same value and has no jumps, NaN where the values are and in the rows
-        that belong to no angle (`lost_rows`), shape (n,).
+        that belong to no angle (`_lost_rows`), shape (n,).
     """
-    result = np.where(lost_rows(values), np.nan, values)
+    result = np.where(_lost_rows(values), np.nan, values)
     measured = np.isfinite(result)
     changes, steps = np.diff(values[measured]), np.diff(time_s[measured])
     if not len(changes):
@@ -252,7 +240,7 @@ def wraps_of(recording: Recording, machine: Machine) -> dict[str, Wrap]:
         if sensor.turn is not None:
             jumps = int(np.count_nonzero(np.abs(np.diff(values[np.isfinite(values)])) > sensor.turn / 2))
             if jumps:
-                lost = int(np.count_nonzero(lost_rows(values)))
+                lost = int(np.count_nonzero(_lost_rows(values)))
                 found[sensor.channel] = Wrap(sensor.turn, "one turn", jumps, lost)
             continue
         if not sensor.of_position:
@@ -291,7 +279,7 @@ def jumps_between_ends(values: Array, low: float, high: float) -> EndJumps | Non
         high: Upper end, in the same unit.
     """
     extent = high - low
-    measured = np.flatnonzero(np.isfinite(values) & ~switching_rows(values))
+    measured = np.flatnonzero(np.isfinite(values) & ~_switching_rows(values))
     kept = values[measured]
     changes = np.diff(kept)
     jumps = np.flatnonzero(np.abs(changes) > _JUMP * extent)
@@ -331,7 +319,7 @@ def shared_wraps(recordings: Sequence[Recording], machine: Machine) -> dict[tupl
             values = recording.outputs[:, j]
             jumps = None if channel in wraps else jumps_between_ends(values, low, high)
             if jumps and np.nanmin(values) >= low - margin and np.nanmax(values) <= high + margin:
-                lost = int(np.count_nonzero(lost_rows(values)))
+                lost = int(np.count_nonzero(_lost_rows(values)))
                 wrap = known[0][1]._replace(jumps=len(jumps.rows), lost=lost)
                 shared[recording.name, channel] = wrap
     return shared

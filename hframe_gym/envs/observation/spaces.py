@@ -131,8 +131,7 @@ def sensor_signals(machine: Machine, sensors: Sequence[Sensor]) -> tuple[SignalS
     position.
 
     Raises:
-        InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool
-            axis.
+        InputError: As `state_signals`.
     """
     coordinates = [machine.coordinate_of_sensor(sensor) for sensor in sensors]
     located = [name for name, sensor in zip(coordinates, sensors, strict=True) if sensor.of_position]
@@ -184,8 +183,7 @@ def privileged_signals(machine: Machine, bounds: Mapping[str, tuple[float, float
             can have, divided by its nominal value, dimensionless (SI if that is 0).
 
     Raises:
-        InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool
-            axis.
+        InputError: As `state_signals`.
     """
     observed = [spec.coordinate for spec in state_signals(machine) if not spec.velocity]
     others = [name for name in machine.coordinate_names if name not in observed]
@@ -215,8 +213,7 @@ def observation_signals(
             array.
 
     Raises:
-        InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool
-            axis.
+        InputError: As `state_signals`.
     """
     workspace = workspace_of(machine)
 

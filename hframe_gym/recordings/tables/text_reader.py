@@ -132,16 +132,8 @@ def read_columns(
     return [values[c] for c in columns], remarks
 
 
-def parse_stamps(cells: Sequence[str]) -> NDArray[np.datetime64]:
-    """Convert time stamps (dates, times of day, or both) to NumPy's time type.
-
-    Returns:
-        Times, datetime64[ns], shape (len(cells),). A time of day has the date 1970-01-01; a missing value is
-        NaT.
-
-    Raises:
-        ValueError: If a cell is not a time stamp.
-    """
+def _parse_stamps(cells: Sequence[str]) -> NDArray[np.datetime64]:
+    """Convert dates and times of day to datetime64[ns]; a time of day gets the date 1970-01-01."""
     texts = []
     for cell in cells:
         stamp = cell.strip().replace(",", ".").replace(_FOREIGN_MARK, ".")
@@ -381,7 +373,7 @@ class _BlockReader:
                 text = _MISSING_CELL.sub("nan", text)
             try:
                 table = self._load(text, self.numbers, float) if self.numbers else None
-                stamps = [parse_stamps(self._load(text, [c], str)[:, 0].tolist()) for c in self.stamps]
+                stamps = [_parse_stamps(self._load(text, [c], str)[:, 0].tolist()) for c in self.stamps]
                 texts = [self._load(as_written, [c], str)[:, 0] for c in self.texts]
             except ValueError:
                 continue
@@ -412,7 +404,7 @@ class _BlockReader:
                     continue
                 try:
                     if column in self.stamps:
-                        parse_stamps([cell])
+                        _parse_stamps([cell])
                     else:
                         marks = _FROM_DECIMAL_COMMA if self._decimal == "," else _FROM_DECIMAL_POINT
                         float(cell.translate(marks))

@@ -179,18 +179,10 @@ def _timeseries(properties: dict[str, Any]) -> dict[str, Any]:
     return {"Time": times, "Data": data if data.shape[:1] == times.shape else data.T}
 
 
-def hdf5_content(path: str, limit: int) -> dict[str, Any]:
-    """Read an HDF5 file, which MATLAB files of version 7.3 are.
+def _hdf5_content(path: str, limit: int) -> dict[str, Any]:
+    """Return the variables of a MATLAB file of version 7.3 (HDF5) as SciPy returns those of older files.
 
-    Args:
-        limit: Largest accepted size of all arrays together, bytes.
-
-    Returns:
-        Variables by name, as SciPy returns those of older files: arrays of any shape, dictionaries for
-        structures, lists for cells, texts. Tables, timetables and other objects are left out.
-
-    Raises:
-        ValueError: If the arrays are larger than the limit, or structures are nested too deeply.
+    Tables, timetables and other objects are left out.
     """
     import h5py
 
@@ -236,20 +228,11 @@ def hdf5_content(path: str, limit: int) -> dict[str, Any]:
         return variables | dict.fromkeys(_OBJECTS & file.keys())
 
 
-def simulink_signals(path: str, limit: int) -> dict[str, Any]:
-    """Read the signals of a Simulink data set in a MATLAB file of version 7.3, which a running model wrote.
+def _simulink_signals(path: str, limit: int) -> dict[str, Any]:
+    """Return time, s, and data of each signal of a Simulink data set, by its name or that of its block.
 
     Each signal is described by a structure and has its values, and its times unless its steps are equal, in
     streams of bytes. Signals of other types than numbers are left out.
-
-    Args:
-        limit: Largest accepted size of all streams together, bytes.
-
-    Returns:
-        Time, s, and Data of each signal by its name or, if it has none, that of its block.
-
-    Raises:
-        ValueError: If the streams are larger than the limit.
     """
     import h5py
 
@@ -314,8 +297,8 @@ def main() -> None:
         with open(source, "rb") as file:
             start = file.read(520)
         if b"\x89HDF\r\n\x1a\n" in (start[:8], start[512:]):
-            content = hdf5_content(source, int(limit))
-            content |= simulink_signals(source, int(limit))
+            content = _hdf5_content(source, int(limit))
+            content |= _simulink_signals(source, int(limit))
         else:
             from scipy import io
 
