@@ -91,7 +91,8 @@ KeyedObservation: TypeAlias = Mapping[str, NDArray[Any]]
 - `observation`: positions of the tool's axes and the driven coordinates, m and rad, then their velocities,
   m/s and rad/s, if the full state is observed, shape (B, 2 n); otherwise one measurement per sensor,
   shape (B, channels);
-- `desired_goal`: present tool goal, m or rad, shape (B, axes);
+- `achieved_goal`: position of the tool as observed, and `desired_goal`: its present goal, m or rad,
+  shape (B, axes) each;
 - `preview`, only for a moving goal: goals at the ends of the next H periods, m or rad, shape (B, axes * H):
   all axes of the first, then of the second, ...
 """

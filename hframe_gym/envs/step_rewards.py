@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array, Index
+from ..arrays import Array, Index, KeyedObservation
 from ..dynamics.codegen.compiled import compiled
 from ..errors import InputError
 from .observation.spaces import ObservationFormat
@@ -150,7 +150,7 @@ class StepRewards:
         self._before: dict[str, Positions] = {}
         self._after: dict[str, Positions] = {}
 
-    def begin(self, index: Index, observation: Mapping[str, Positions]) -> None:
+    def begin(self, index: Index, observation: KeyedObservation) -> None:
         """Store the goals of an observation in the rows `index`, where episodes start.
 
         Only the reward "progress" needs them; for others this method does nothing.
@@ -179,7 +179,7 @@ class StepRewards:
     def write(
         self,
         rows: slice,
-        observation: Mapping[str, Positions],
+        observation: KeyedObservation,
         tool: Positions,
         distance: Array,
         reward: Array,
@@ -201,14 +201,14 @@ class StepRewards:
         constants = self._normalization, *self._constants, rows.start, rows.stop
         _evaluate_step(tool, achieved, desired, *constants, self._potential, distance, reward)
 
-    def keep_goals(self, observation: Mapping[str, Positions]) -> None:
+    def keep_goals(self, observation: KeyedObservation) -> None:
         """Store the goals after a step for the `info` of the next one.
 
         Call it once per step if the attribute `compares_steps` is True (reward "progress").
         """
         self._before, self._after = self._after, {key: observation[key].copy() for key in self._keys}
 
-    def of_step(self, observation: Mapping[str, Positions]) -> Array:
+    def of_step(self, observation: KeyedObservation) -> Array:
         """Compute the rewards of the last step, shape (count,), if the attribute `compiled` is False.
 
         Call `keep_goals` before if `compares_steps` is True.
