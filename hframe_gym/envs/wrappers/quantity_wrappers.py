@@ -6,7 +6,6 @@ Each works on a single environment (`HFrameEnv`, also from `gym.make`) and, with
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -60,45 +59,46 @@ def _finite(numbers: Mapping[str, float], meaning: str) -> dict[str, float]:
     return dict(numbers)
 
 
-class _Use(ABC):
-    """What a wrapper does with a step's quantities: a number each, or an array of shape (count,) each."""
+class _Wrapper:
+    """Base of the wrappers: what they do with a step's quantities, numbers or arrays of shape (count,)."""
 
-    def __init__(self, names: Sequence[str]) -> None:
-        self.names = names
+    def __init__(self, env: Any, names: Sequence[str]) -> None:
+        super().__init__(env)  # type: ignore[call-arg]  # of Gymnasium's wrapper
+        self._recorder = _Recorder(env, names)
 
-    @abstractmethod
-    def changed(self, result: tuple[Any, ...], values: Mapping[str, Any]) -> tuple[Any, ...]:
+    def _changed(self, result: tuple[Any, ...], values: Mapping[str, Any]) -> tuple[Any, ...]:
         """Return the result of a step with what follows from its quantities."""
+        raise NotImplementedError
 
-    def begun(self, observation: Any, first_values: Callable[[], Mapping[str, Any]]) -> Any:
+    def _begun(self, observation: Any, first_values: Callable[[], Mapping[str, Any]]) -> Any:
         """Return the first observation of an episode."""
         return observation
 
 
-class _Penalty(_Use):
+class _Penalty(_Wrapper):
     """Weighted quantities are subtracted from the reward."""
 
-    def __init__(self, weights: Mapping[str, float]) -> None:
-        super().__init__(list(weights))
+    def __init__(self, env: Any, weights: Mapping[str, float]) -> None:
+        super().__init__(env, list(weights))
         self._weights = _finite(weights, "weight")
 
     @override
-    def changed(self, result: tuple[Any, ...], values: Mapping[str, Any]) -> tuple[Any, ...]:
+    def _changed(self, result: tuple[Any, ...], values: Mapping[str, Any]) -> tuple[Any, ...]:
         observation, reward, terminated, truncated, info = result
         info.update({f"quantity_{name}": value for name, value in values.items()})
         penalty = sum(self._weights[name] * value for name, value in values.items())
         return observation, reward - penalty, terminated, truncated, info
 
 
-class _Cost(_Use):
+class _Cost(_Wrapper):
     """The number of quantities that exceed their limits is reported."""
 
-    def __init__(self, limits: Mapping[str, float], *, six_values: bool) -> None:
-        super().__init__(list(limits))
+    def __init__(self, env: Any, limits: Mapping[str, float], *, six_values: bool = False) -> None:
+        super().__init__(env, list(limits))
         self._limits, self._six_values = _finite(limits, "limit"), six_values
 
     @override
-    def changed(self, result: tuple[Any, ...], values: Mapping[str, Any]) -> tuple[Any, ...]:
+    def _changed(self, result: tuple[Any, ...], values: Mapping[str, Any]) -> tuple[Any, ...]:
         observation, reward, terminated, truncated, info = result
         exceeded = {name: 1.0 * (value > self._limits[name]) for name, value in values.items()}
         cost = sum(exceeded.values())
@@ -109,14 +109,14 @@ class _Cost(_Use):
         return result
 
 
-class _Observed(_Use):
+class _Observed(_Wrapper):
     """The quantities are entries of the observation."""
 
-    def __init__(self, names: Sequence[str]) -> None:
-        super().__init__(names)
+    def __init__(self, env: Any, names: Sequence[str]) -> None:
+        super().__init__(env, names)
         self._scales = np.array([QUANTITIES.get(name).largest for name in names])
 
-    def space(self, inner: spaces.Space[Any]) -> spaces.Space[Any]:
+    def _extended_space(self, inner: spaces.Space[Any]) -> spaces.Space[Any]:
         """Return the observation space of one environment with the quantities."""
         added = spaces.Box(-_LIMIT, _LIMIT, self._scales.shape, np.float32)
         if isinstance(inner, spaces.Dict):
@@ -126,12 +126,12 @@ class _Observed(_Use):
         return spaces.Box(low, high, dtype=np.float32)
 
     @override
-    def changed(self, result: tuple[Any, ...], values: Mapping[str, Any]) -> tuple[Any, ...]:
+    def _changed(self, result: tuple[Any, ...], values: Mapping[str, Any]) -> tuple[Any, ...]:
         observation, *others = result
         return self._extended(observation, values), *others
 
     @override
-    def begun(self, observation: Any, first_values: Callable[[], Mapping[str, Any]]) -> Any:
+    def _begun(self, observation: Any, first_values: Callable[[], Mapping[str, Any]]) -> Any:
         return self._extended(observation, first_values())
 
     def _extended(self, observation: Any, values: Mapping[str, Any]) -> Any:
@@ -143,12 +143,8 @@ class _Observed(_Use):
         return np.concatenate([observation, added], axis=-1)
 
 
-class _Recording(gym.Wrapper):
+class _Recording(_Wrapper, gym.Wrapper):
     """Base of the wrappers of single environments."""
-
-    def __init__(self, env: gym.Env, use: _Use) -> None:
-        super().__init__(env)
-        self._recorder, self._use = _Recorder(env, use.names), use
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -156,12 +152,12 @@ class _Recording(gym.Wrapper):
         """Begin an episode, as the environment does."""
         self._recorder.begin()
         observation, info = self.env.reset(seed=seed, options=options)
-        return self._use.begun(observation, lambda: _items(self._recorder.first_values())), info
+        return self._begun(observation, lambda: _items(self._recorder.first_values())), info
 
     def step(self, action: Any) -> tuple[Any, ...]:  # type: ignore[override]
         """Make a step, as the environment does, with what follows from its quantities."""
         result = self.env.step(action)
-        return self._use.changed(result, _items(self._recorder.values(action)))
+        return self._changed(result, _items(self._recorder.values(action)))
 
 
 def _items(columns: Mapping[str, Array]) -> dict[str, float]:
@@ -169,12 +165,11 @@ def _items(columns: Mapping[str, Array]) -> dict[str, float]:
     return {name: column.item() for name, column in columns.items()}
 
 
-class _VectorRecording(VectorWrapper):
+class _VectorRecording(_Wrapper, VectorWrapper):
     """Base of the wrappers of vector environments, which know in which environments an episode has ended."""
 
-    def __init__(self, env: VectorEnv, use: _Use) -> None:
-        super().__init__(env)
-        self._recorder, self._use = _Recorder(env, use.names), use
+    def __init__(self, env: VectorEnv, names: Sequence[str]) -> None:
+        super().__init__(env, names)
         if env.metadata.get("autoreset_mode") is AutoresetMode.SAME_STEP:
             raise InputError(
                 "with autoreset_mode='SameStep' the state at the end of an episode "
@@ -189,7 +184,7 @@ class _VectorRecording(VectorWrapper):
         self._recorder.begin(chosen)
         self._over[chosen] = False
         observation, info = self.env.reset(**keywords)
-        return self._use.begun(observation, self._recorder.first_values), info
+        return self._begun(observation, self._recorder.first_values), info
 
     def step(self, actions: Any) -> tuple[Any, ...]:  # type: ignore[override]
         """Make a step of all environments; quantities are zero where an episode began instead."""
@@ -198,12 +193,10 @@ class _VectorRecording(VectorWrapper):
         values = self._recorder.values(actions)
         self._recorder.begin(began)
         self._over = np.asarray(result[2]) | np.asarray(result[3])
-        return self._use.changed(
-            result, {name: np.where(began, 0.0, column) for name, column in values.items()}
-        )
+        return self._changed(result, {name: np.where(began, 0.0, column) for name, column in values.items()})
 
 
-class PenaltyWrapper(_Recording):
+class PenaltyWrapper(_Penalty, _Recording):
     """Subtract weighted quantities of the step from the reward.
 
     `info` has each quantity as `quantity_NAME`. `compute_reward` does not know them: do not relabel goals
@@ -217,22 +210,16 @@ class PenaltyWrapper(_Recording):
         InputError: If a name is unknown, a weight is not finite, or the environment is of another package.
     """
 
-    def __init__(self, env: gym.Env, weights: Mapping[str, float]) -> None:
-        super().__init__(env, _Penalty(weights))
 
-
-class VectorPenaltyWrapper(_VectorRecording):
+class VectorPenaltyWrapper(_Penalty, _VectorRecording):
     """`PenaltyWrapper` for `HFrameVectorEnv`; where an episode begins in a step, nothing is subtracted.
 
     Raises:
         InputError: As `PenaltyWrapper`, and with the autoreset mode "SameStep".
     """
 
-    def __init__(self, env: VectorEnv, weights: Mapping[str, float]) -> None:
-        super().__init__(env, _Penalty(weights))
 
-
-class CostWrapper(_Recording):
+class CostWrapper(_Cost, _Recording):
     """Report costs beside the reward, as constrained reinforcement learning needs them.
 
     The cost of a step is the number of quantities that exceed their limits, in `info["cost"]`;
@@ -252,11 +239,8 @@ class CostWrapper(_Recording):
         Ji et al. (2023), Safety-Gymnasium: a unified safe reinforcement learning benchmark.
     """
 
-    def __init__(self, env: gym.Env, limits: Mapping[str, float], *, six_values: bool = False) -> None:
-        super().__init__(env, _Cost(limits, six_values=six_values))
 
-
-class VectorCostWrapper(_VectorRecording):
+class VectorCostWrapper(_Cost, _VectorRecording):
     """`CostWrapper` for `HFrameVectorEnv`; where an episode begins in a step, the cost is zero.
 
     Args:
@@ -266,11 +250,8 @@ class VectorCostWrapper(_VectorRecording):
         InputError: As `CostWrapper`, and with the autoreset mode "SameStep".
     """
 
-    def __init__(self, env: VectorEnv, limits: Mapping[str, float], *, six_values: bool = False) -> None:
-        super().__init__(env, _Cost(limits, six_values=six_values))
 
-
-class ObserveQuantities(_Recording):
+class ObserveQuantities(_Observed, _Recording):
     """Add quantities of the last step to the observation: the key `quantities`, or entries of a flat array.
 
     Each is divided by its typical largest value and limited to [-10, 10]. At the beginning of an episode they
@@ -284,16 +265,14 @@ class ObserveQuantities(_Recording):
     """
 
     def __init__(self, env: gym.Env, names: Sequence[str]) -> None:
-        observed = _Observed(names)
-        super().__init__(env, observed)
-        self.observation_space = observed.space(env.observation_space)
+        super().__init__(env, names)
+        self.observation_space = self._extended_space(env.observation_space)
 
 
-class VectorObserveQuantities(_VectorRecording):
+class VectorObserveQuantities(_Observed, _VectorRecording):
     """`ObserveQuantities` for `HFrameVectorEnv`."""
 
     def __init__(self, env: VectorEnv, names: Sequence[str]) -> None:
-        observed = _Observed(names)
-        super().__init__(env, observed)
-        self.single_observation_space = observed.space(env.single_observation_space)
+        super().__init__(env, names)
+        self.single_observation_space = self._extended_space(env.single_observation_space)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
