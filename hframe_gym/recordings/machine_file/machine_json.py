@@ -22,8 +22,7 @@ def load_machine(source: str | Path | Machine) -> Machine:
     """Load a machine: a preset by name, or a machine.json by path.
 
     Warns:
-        UserWarning: For each value of the file that is possible but not plausible, such as a length in
-        millimeters.
+        UserWarning: For each value of the file that is possible but not plausible, such as a length in mm.
 
     Args:
         source: Name of a preset (a key of `BUILTIN_MACHINES`, for example "hframe"), path of a machine.json,
