@@ -14,7 +14,7 @@ from ..fit.model_error import bandwidths_for
 from ..forces.inverse_dynamics import force_error
 from ..judge import held_out as judge
 from ..judge.error import FitError
-from ..judge.run import HeldOutRun, contradicts
+from ..judge.run import HeldOutRun, contradicts, shows_effects
 from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION, map_runs
 from ..predict.start_uncertainty import prediction_residuals
 from .tried_effects import SelectedEffect
@@ -192,3 +192,20 @@ def contradicting_held_out_runs(
         return HeldOutRun(FitError(cost, run.count), after.chi2, gains if selected else None)
 
     return tuple(run.runs[0].name for run in held_out.single_runs() if contradicts(shown_by(run)))
+
+
+def runs_with_effects(after: Fit, before: Machine, held_out: Dataset) -> tuple[str, ...]:
+    """Find the held-out runs of whose error the selected effects remove nearly all.
+
+    Args:
+        after: Fit of the machine with the selected effects.
+        before: Refitted machine without effects.
+
+    Returns:
+        Names of the runs (`judge.run.shows_effects`), at the observer bandwidth of the fit.
+    """
+
+    def gain(run: Dataset) -> float:
+        return error_reduction(before, after.machine, run, after.bandwidth)
+
+    return tuple(run.runs[0].name for run in held_out.single_runs() if shows_effects(gain(run)))

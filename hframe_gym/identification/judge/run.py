@@ -66,6 +66,19 @@ def contradicts(run: HeldOutRun) -> bool:
     return not (run.gains is not None and min(run.gains()) < 1.0 - CLEAR)
 
 
+def shows_effects(gain: float) -> bool:
+    """Return whether a held-out run that contradicts the machine may remove effects all the same.
+
+    A run with which something was wrong says nothing of effects. But where these remove nearly all of its
+    error, it is a run of this machine, and what is left shows that the model is incomplete. Otherwise, the
+    run that shows best that an effect only imitates an error would have no say in it.
+
+    Args:
+        gain: Fraction of the squared error of the run that all effects together remove, dimensionless.
+    """
+    return gain > 1.0 - 1.0 / FAR
+
+
 def uses_all_runs(chi2_without: float, complete_explained: bool, complete_chi2: Measured) -> bool:
     """Return whether to use effects found in all runs; those found without a suspect run explain little.
 

@@ -19,7 +19,12 @@ from ...preparation.runs.excerpt import LARGEST_FIT, NORMAL_SESSION, describe_pa
 from ...preparation.runs.left_out import with_known_positions
 from ..budget import LAST_STAGE_END, SECOND_SEARCH_PART, Budget, BudgetEndedError, stage_ends
 from ..evidence.effect_variables import describes_one_run
-from ..evidence.held_out import contradicting_held_out_runs, shown_effects, worsens_simulation
+from ..evidence.held_out import (
+    contradicting_held_out_runs,
+    runs_with_effects,
+    shown_effects,
+    worsens_simulation,
+)
 from ..evidence.tried_effects import SelectedEffect
 from ..fit.cross_validation import contradicting_run
 from ..fit.estimation import Fit, fit
@@ -90,6 +95,19 @@ class CheckedOutcome(NamedTuple):
         return self.held_out.with_runs([r.name for r in self.held_out.runs if r.name not in self.differing])
 
     @property
+    def judging(self) -> Dataset:
+        """Held-out runs that may remove effects: also a contradicting one that shows these effects."""
+        outcome, differing = self.outcome, self.held_out.with_runs(self.differing)
+        if not outcome.selected or not differing.runs:
+            return self.agreeing
+        refined = refine_dataset(differing, outcome.after.machine, outcome.data)
+        showing = runs_with_effects(outcome.after, outcome.before.machine, refined)
+        names = [
+            run.name for run in self.held_out.runs if run.name not in self.differing or run.name in showing
+        ]
+        return self.held_out.with_runs(names)
+
+    @property
     def remarks(self) -> tuple[str, ...]:
         """What the user should know about runs that contradict others, one sentence each."""
         left_out = self.outcome.contradiction
@@ -146,7 +164,7 @@ def find_effects(
     if complete and may_exchange:
         found = exchanged_if_better(found, search.without, log)
     with budget.limiting(delivers=True):
-        outcome = without_unconfirmed(found.outcome, found.agreeing, log)
+        outcome = without_unconfirmed(found.outcome, found.judging, log)
     return found._replace(outcome=_with_input_timing(outcome, found.agreeing, criteria, log, budget))
 
 
@@ -501,7 +519,7 @@ def without_unconfirmed(outcome: SearchOutcome, held_out: Dataset, log: LineLog)
     is removed as well.
 
     Args:
-        held_out: Held-out runs that do not contradict the fitted ones.
+        held_out: Held-out runs that may remove effects (`CheckedOutcome.judging`).
         log: Called with a line of text for each effect that is removed.
     """
     before, data = outcome.before, outcome.data

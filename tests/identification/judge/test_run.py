@@ -53,6 +53,11 @@ def test_a_held_out_run_contradicts_unless_effects_cause_its_error(
     assert judge.contradicts(run) == contradicts
 
 
+@pytest.mark.parametrize(("gain", "shows"), [(0.89, False), (0.91, True), (-1.0, False)])
+def test_a_run_of_whose_error_effects_remove_nearly_all_may_remove_effects(gain: float, shows: bool) -> None:
+    assert judge.shows_effects(gain) == shows
+
+
 @pytest.mark.parametrize(
     ("explained", "chi2", "used"), [(True, 1e6, True), (False, 99.0, True), (False, 101.0, False)]
 )

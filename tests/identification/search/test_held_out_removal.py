@@ -132,6 +132,27 @@ def test_a_held_out_run_whose_error_an_effect_causes_does_not_contradict(
     assert _contradicting_runs(outcome, held_out) == contradicting
 
 
+@pytest.mark.parametrize(("wind", "judges"), [(0.1, True), (3.0, False)])
+def test_a_contradicting_run_of_which_effects_explain_most_may_remove_effects(
+    axis: Machine, wind: float, judges: bool
+) -> None:
+    """It has the spring that was found, and a force that the model lacks in place of the constant one."""
+    spring, push = EFFECTS["cable_spring"].at("x", k=30.0, q0=0.0), EFFECTS["constant_force"]
+    found = spring, push.at("x", size=0.02)
+    data = prepare([recorded(axis.with_effects(*found), seed) for seed in (0, 2)], axis)
+    held_out = prepare([recorded(axis.with_effects(spring, push.at("x", size=-wind)), 1)], axis)
+    before = fit(axis, default_free_parameters(axis), data, SIMULATION)
+    after = fit(axis.with_effects(*found), default_free_parameters(axis), data, SIMULATION, iterations=1)
+    selected = tuple(SelectedEffect(e, 1.0, axis).with_values(after.machine) for e in after.machine.effects)
+    outcome = SearchOutcome(before, False, True, "effect_found", after, selected, (), data)
+    checked = CheckedOutcome(outcome, held_out, _contradicting_runs(outcome, held_out))
+    assert checked.differing == ("run_1",)
+    assert checked.agreeing.runs == ()
+    assert [run.name for run in checked.judging.runs] == (["run_1"] if judges else [])
+    kept = without_unconfirmed(outcome, checked.judging, lambda line: None).selected
+    assert [s.effect.name for s in kept] == [e.name for e in (found[:1] if judges else found)]
+
+
 def outcome_with_spurious_friction(axis: Machine) -> tuple[SearchOutcome, Dataset]:
     """Return an outcome with Tustin friction beside too low a Coulomb friction, and held-out runs.
 
