@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Iterable, Iterator
+from functools import cache, partial
 from typing import NamedTuple
 
 from ...line_log import LineLog
@@ -74,6 +74,26 @@ class _Comparison(NamedTuple):
     data: Dataset
     tried: frozenset[str] = frozenset()
     remaining: tuple[AppliedEffect, ...] = ()
+
+
+class _Candidates(NamedTuple):
+    """Candidates for the next effect.
+
+    Attributes:
+        current: Fit without any of them.
+        trials: Trial fits with one of them each.
+        enough: Reduction of chi-squared per sample for which an effect is selected.
+        converged: Function that returns the converged fit of a trial; it remembers its results.
+        doubt: Function of a converged fit that returns why its effect may not exist; it remembers as well.
+        unexplained: Fits whose effects explain what no effect may cause, as far as they were tested.
+    """
+
+    current: Fit
+    trials: list[Fit]
+    enough: float
+    converged: Callable[[Fit], Fit]
+    doubt: Callable[[Fit], str]
+    unexplained: list[Fit]
 
 
 class EffectSearch:
@@ -414,14 +434,15 @@ class EffectSearch:
 
         One with a drawback is returned only if no other one passes without, as far as the time reaches.
         """
-        without = TestedFit(current, self.data)
-        unexplained: list[Fit] = []  # with effects that explain what no effect may cause
+        converged = cache(partial(self._converged, current))
+        doubt = cache(partial(self._doubt, TestedFit(current, self.data)))
+        candidates = _Candidates(current, trials, enough, converged, doubt, unexplained=[])
         passed: Fit | None = None
         try:
             for trial in trials:
                 if not judge.is_worth_convergence(current.error, trial.error, enough, self._criteria):
                     break
-                fitted = self._tested(without, trial, trials, enough, unexplained)
+                fitted = self._tested(candidates, trial)
                 if fitted is None:
                     continue
                 drawback = "" if self._drawback is None else self._drawback(fitted)
@@ -434,35 +455,53 @@ class EffectSearch:
                 raise
         return passed
 
-    def _tested(
-        self, without: TestedFit, trial: Fit, trials: list[Fit], enough: float, unexplained: list[Fit]
-    ) -> Fit | None:
-        """Return the converged fit of a trial if its effect passes all tests, else None.
+    def _converged(self, current: Fit, trial: Fit) -> Fit:
+        """Return the converged fit of a trial beside the effects of `current`."""
+        return converge(trial, self.data, thorough=not nearly_explains(current.error, self._criteria))
 
-        Args:
-            unexplained: Fits whose effects explain what no effect may cause; such a fit is appended.
-        """
-        current, began = without.fitted, seconds_spent()
-        fitted = converge(trial, self.data, thorough=not nearly_explains(current.error, self._criteria))
+    def _doubt(self, without: TestedFit, fitted: Fit) -> str:
+        """Return why the last effect of a fit may not exist, or ""."""
+        return doubt_about_candidate(without, fitted, self._criteria)
+
+    def _tested(self, candidates: _Candidates, trial: Fit) -> Fit | None:
+        """Return the converged fit of a trial if its effect passes all tests, else None."""
+        current, enough, began = candidates.current, candidates.enough, seconds_spent()
+        fitted = candidates.converged(trial)
         effect, gain = fitted.machine.effects[-1], (current.cost - fitted.cost) / self.data.count
         self._log(f"  {effect.label} {describe_gain(current, fitted)}")
         if not is_enough(current.error, fitted.error, enough):
             self._log(f"  {effect.label} is not selected: a reduction by {enough:.2g} is required")
             return None
-        doubt = doubt_about_candidate(without, fitted, self._criteria)
+        doubt = candidates.doubt(fitted)
         if may_be_no_effect(doubt):
-            unexplained.append(fitted)
-        doubt = doubt or self._doubt_beside(unexplained, current, fitted, enough)
+            candidates.unexplained.append(fitted)
+        doubt = doubt or self._doubt_beside(candidates.unexplained, current, fitted, enough)
+        if not doubt and nearly_explains(current.error, self._criteria):
+            doubt = self._doubt_beside(self._doubtful_rivals(candidates, fitted), current, fitted, enough)
         if not doubt:
             self._seconds = seconds_spent() - began
             return fitted
         self._log(f"  {effect.label} is not selected: it {doubt}")
         self.considered[effect.label] = ConsideredEffect(effect, fitted.machine, current.machine, doubt)
         if self._doubted is None or gain > self._doubted[0]:
-            self._doubted = gain, (current, selected_first(fitted, trials))
+            self._doubted = gain, (current, selected_first(fitted, candidates.trials))
         return None
 
-    def _doubt_beside(self, others: list[Fit], current: Fit, fitted: Fit, enough: float) -> str:
+    def _doubtful_rivals(self, candidates: _Candidates, fitted: Fit) -> Iterator[Fit]:
+        """Yield fits with rivals of an effect, which explain at least as much but may be no effect.
+
+        Which of two effects that explain the same is tested first depends on trials that have not converged.
+        """
+        trials, label = selected_first(fitted, candidates.trials), fitted.machine.effects[-1].label
+        variance = partial(long_run_variance, fitted, label, self.data)
+        rivals = {e.label for e in close_rivals(trials, candidates.current, variance, self._criteria)}
+        for trial in trials[1:]:
+            if trial.machine.effects[-1].label in rivals:
+                rival = candidates.converged(trial)
+                if rival.cost <= fitted.cost and may_be_no_effect(candidates.doubt(rival)):
+                    yield rival
+
+    def _doubt_beside(self, others: Iterable[Fit], current: Fit, fitted: Fit, enough: float) -> str:
         """Return the doubt that an effect explains what others do, which explain as much, or "".
 
         Args:
