@@ -488,7 +488,7 @@ class EffectSearch:
         return None
 
     def _doubtful_rivals(self, candidates: _Candidates, fitted: Fit) -> Iterator[Fit]:
-        """Yield fits with rivals of an effect, which explain at least as much but may be no effect.
+        """Yield fits with rivals, not tested yet, that explain at least as much as an effect but may be none.
 
         Which of two effects that explain the same is tested first depends on trials that have not converged.
         """
@@ -496,10 +496,12 @@ class EffectSearch:
         variance = partial(long_run_variance, fitted, label, self.data)
         rivals = {e.label for e in close_rivals(trials, candidates.current, variance, self._criteria)}
         for trial in trials[1:]:
-            if trial.machine.effects[-1].label in rivals:
-                rival = candidates.converged(trial)
-                if rival.cost <= fitted.cost and may_be_no_effect(candidates.doubt(rival)):
-                    yield rival
+            if trial.machine.effects[-1].label not in rivals:
+                continue
+            rival = candidates.converged(trial)
+            known = rival in candidates.unexplained or rival.cost > fitted.cost
+            if not known and may_be_no_effect(candidates.doubt(rival)):
+                yield rival
 
     def _doubt_beside(self, others: Iterable[Fit], current: Fit, fitted: Fit, enough: float) -> str:
         """Return the doubt that an effect explains what others do, which explain as much, or "".

@@ -83,6 +83,21 @@ def test_an_effect_must_explain_something_beside_one_that_chance_explains(
         assert search.considered[DRAG.label].reason == hidden_by(PUSH.label)
 
 
+@pytest.mark.parametrize(("together", "found"), [(1.295, False), (1.2, True)])
+def test_an_effect_must_also_explain_something_beside_a_rival_that_is_tested_later(
+    scripted: Scripted, together: float, found: bool
+) -> None:
+    """The simpler one comes first; the mesh of a belt was named where a payload explained as much."""
+    scripted.variances = {PUSH.label: 1e4}
+    scripted.trials = [[fit_with(DRAG, chi2=1.301, free=4), fit_with(PUSH, chi2=1.3, free=5)]]
+    scripted.again = [fit_with(PUSH, DRAG, chi2=together)]
+    search = scripted.search()
+    _, effects = search.run(fit_with(chi2=1.4))
+    assert [s.effect for s in effects] == ([DRAG] if found else [])
+    if not found:
+        assert search.considered[DRAG.label].reason == hidden_by(PUSH.label)
+
+
 def test_an_effect_needs_nothing_beside_one_that_explains_less(scripted: Scripted) -> None:
     scripted.variances = {PUSH.label: 1e4}
     trials = [fit_with(PUSH, chi2=1.301, free=4), fit_with(DRAG, chi2=1.3, free=5)]  # the simpler one first
