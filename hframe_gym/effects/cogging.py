@@ -17,7 +17,7 @@ EFFECT = Effect(
     force=force,
     parameters=(
         EffectParameter("A", "force", -1e3, 1e3, scale=0.3, role="amplitude"),
-        EffectParameter("n", "rad/position", 1e-3, 1e5, scale=0.1, role="rate"),
+        EffectParameter("n", "rad/position", 1e-3, 1e5, scale=0.1, role="rate", simpler={1.0: "unbalance"}),
         EffectParameter("p", "rad", -100.0, 100.0, scale=1.0, role="phase"),
     ),
 )

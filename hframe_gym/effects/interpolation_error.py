@@ -25,7 +25,9 @@ EFFECT = Effect(
     fits_site=Machine.measures_position,
     parameters=(
         EffectParameter("A", "position", -1.0, 1.0, scale=1e-4, role="amplitude"),
-        EffectParameter("n", "rad/position", 1e-3, 1e6, scale=0.1, role="rate"),
+        EffectParameter(
+            "n", "rad/position", 1e-3, 1e6, scale=0.1, role="rate", simpler={1.0: "eccentric_encoder"}
+        ),
         EffectParameter("p", "rad", -100.0, 100.0, scale=1.0, role="phase"),
     ),
 )

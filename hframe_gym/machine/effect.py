@@ -18,7 +18,7 @@ import inspect
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from numbers import Real
 from typing import Any, Literal, Protocol, get_args
@@ -117,6 +117,9 @@ class EffectParameter:
             none.
         named_from: Least value, SI, with which an identification names the effect. With less, the formula
             describes something else: no cable is a spring of negative stiffness.
+        simpler: Names of effects with fewer parameters, by the value of this parameter, SI, with which this
+            effect is the other one: an interpolation error of one period a turn is an eccentric encoder. An
+            identification names the simpler one.
     """
 
     name: str
@@ -129,6 +132,7 @@ class EffectParameter:
     role: ParameterRole = "shape"
     above: str = ""
     named_from: float = -math.inf
+    simpler: Mapping[float, str] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         """Refuse an unknown role: a search would not find the parameter."""

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from ...arrays import Array
+from ...effects import effect_sites, get_effect
 from ...machine import AppliedEffect, Machine
 from ..fit.estimation import Fit
 from ..judge.effect import ParameterValue, Size
@@ -27,14 +28,20 @@ def parameter_values(label: str, fitted: Fit) -> tuple[ParameterValue, ...]:
     free = {f.name: f for f in fitted.free}
     values = []
     for p in effect.definition.parameters:
+        simpler = {v: name for v, name in p.simpler.items() if _can_act(name, effect, fitted.machine)}
         limited = free.get(f"{label}.{p.name}") if covered_by_runs(p) else None
         covered = (limited.lower, limited.upper) if limited is not None else None
         limits = tuple({p.lower, p.upper} - {0.0, *p.grid})
         unit = fitted.machine.effect_unit(effect, p.name)
-        values.append(
-            ParameterValue(p.name, unit, effect.parameters[p.name], limits, covered, p.role == "rate")
-        )
+        value, below = effect.parameters[p.name], p.role == "rate"
+        values.append(ParameterValue(p.name, unit, value, limits, covered, below, simpler))
     return tuple(values)
+
+
+def _can_act(name: str, effect: AppliedEffect, machine: Machine) -> bool:
+    """Return whether the effect of a name can act where another effect does, or on its coordinate."""
+    places = {effect.site, machine.coordinate_of_site(effect.site, effect.definition.site)}
+    return not places.isdisjoint(effect_sites(get_effect(name), machine))
 
 
 def sizes(effect: AppliedEffect, machine: Machine) -> tuple[Size, ...]:

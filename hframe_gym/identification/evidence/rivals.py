@@ -29,7 +29,7 @@ from ..fit.model_error import (
 from ..fit.voltage_updates import is_timing
 from ..judge.chance import LongRunVariance
 from ..judge.criteria import SelectionCriteria
-from ..judge.effect import parameter_at_limit
+from ..judge.effect import parameter_at_limit, simpler_effect
 from ..judge.rival import (
     RivalEvidence,
     TrialEvidence,
@@ -225,7 +225,8 @@ def compare_rivals(
         current: Fit of the machine with all effects.
         label: Label (name@site) of the effect to compare.
         rivals: Its rivals. Rivals that add coordinates (structural effects) are not tried. Rivals that the
-            machine contains beside the effect are dropped: both exist. None is tried for an effect that adds
+            machine contains beside the effect are dropped, because both exist, and so are those that are a
+            simpler effect with their fitted parameters. None is tried for an effect that adds
             coordinates, or that another effect requires.
         in_combination: Further rivals, from `rivals_in_combination`, whose size is not known yet.
         likely: Function that returns `most_likely_fit` of the fit, if it is already known.
@@ -257,6 +258,8 @@ def compare_rivals(
         else:
             start = _sized(current, label, rival, data)
         trial = most_likely_fit(start, data, largest)
+        if simpler_effect(parameter_values(rival.label, trial)):
+            continue
         rival_loss, own_margin = likelihood_loss(trial, data), margin_of(trial, rival.label)
         evidence = RivalEvidence(loss, margin, rival_loss, own_margin, known)
         if is_likelier(evidence, least):

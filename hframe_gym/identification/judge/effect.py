@@ -9,8 +9,8 @@ to the formula of another effect.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 from .chance import LongRunVariance, chance_deviations, chance_gain, exceeds_chance
 from .criteria import SelectionCriteria
@@ -102,6 +102,7 @@ class ParameterValue:
         covered: Range of values that the motion of the runs can determine, for a width or a rate; otherwise
             None.
         covered_below: Whether the lower end of `covered` is such a limit, too.
+        simpler: Name of the simpler effect that the effect is with a value of this parameter, by this value.
     """
 
     name: str
@@ -110,6 +111,7 @@ class ParameterValue:
     limits: tuple[float, ...] = ()
     covered: tuple[float, float] | None = None
     covered_below: bool = False
+    simpler: Mapping[float, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -288,7 +290,8 @@ def doubt_beside_others(evidence: EffectEvidence, criteria: SelectionCriteria) -
 def _doubt(evidence: EffectEvidence, criteria: SelectionCriteria, *, statistical: bool) -> str:
     """Return the first reason against an effect; the order is that of the costs of the evidence."""
     return (
-        evidence.fault()
+        simpler_effect(evidence.parameters)
+        or evidence.fault()
         or (statistical and _by_chance(evidence, criteria))
         or (statistical and _in_the_motion(evidence))
         or (statistical and _by_voltages(evidence, criteria))
@@ -466,6 +469,21 @@ def parameter_at_limit(parameters: Iterable[ParameterValue]) -> str:
                     f"fits only with {p.name} at the limit of its range ({limit:g}): "
                     "another effect may imitate it"
                 )
+    return ""
+
+
+def simpler_effect(parameters: Iterable[ParameterValue]) -> str:
+    """Return the doubt that an effect is another one, with fewer parameters, by the value of one; else "".
+
+    What is left of the difference is the error of the model, to which one more parameter adapts.
+
+    Args:
+        parameters: Fitted parameters of the effect.
+    """
+    for p in parameters:
+        for value, name in p.simpler.items():
+            if math.isclose(p.value, value, rel_tol=AT_LIMIT):
+                return f"is {name}, which has fewer parameters: {p.name} = {p.value:.4g} instead of {value:g}"
     return ""
 
 
