@@ -153,8 +153,9 @@ def agree_with_causes(
 
     The causes are found without the effects' formulas. An effect agrees with a cause if it acts on the same
     component, and its formula depends on the same kind of variable, or on none if the cause is a constant
-    force. An effect of a sensor agrees with no cause: belts that slip imitate a wrong scale, and a true error
-    of a sensor leaves no missing force.
+    force. An effect of a sensor agrees with no cause, not even with that of a disagreement of this sensor:
+    belts that slip imitate a wrong scale, and an eccentric pulley an eccentric encoder. The position of the
+    pulley explains 94 and 98 % of what its encoder says differently.
 
     Args:
         effects: Effects that the search selected.

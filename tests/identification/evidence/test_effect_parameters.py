@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification.evidence.effect_parameters import sizes
+from hframe_gym.identification.evidence.effect_parameters import parameter_values, sizes
 from hframe_gym.machine import Uncertainty
-from tests.identification.scripted_fits import (
-    HFRAME,
-)
+from tests.identification.scripted_fits import HFRAME, fit_with
 
 
 def test_the_size_of_an_effect_is_as_certain_as_its_form_permits() -> None:
@@ -48,3 +48,21 @@ def test_an_effect_in_proportion_to_an_uncertain_coefficient_may_be_certain() ->
     covariance = np.array([[1.0, -0.99], [-0.99, 1.0]]) * np.outer([1e-5, 0.4], [1e-5, 0.4])
     (size,) = sizes(drag, HFRAME.with_effects(drag).replace(uncertainty=Uncertainty(names, covariance)))
     assert size.std == pytest.approx(0.4 * np.sqrt(1.0 - 0.99**2))
+
+
+@pytest.mark.parametrize(
+    ("name", "site", "simpler"),
+    [
+        ("interpolation_error", "phi1_rad", {1.0: "eccentric_encoder"}),
+        ("interpolation_error", "x_m", {}),  # an encoder of a turn only
+        ("cogging", "motor1", {1.0: "unbalance"}),  # which acts on the coordinate of the motor
+    ],
+)
+def test_a_simpler_effect_acts_at_the_same_place(name: str, site: str, simpler: dict[float, str]) -> None:
+    effect = EFFECTS[name].at(site, A=0.01, n=1.0, p=0.7)
+    fitted = dataclasses.replace(fit_with(chi2=1.0), machine=HFRAME.with_effects(effect))
+    assert {p.name: p.simpler for p in parameter_values(effect.label, fitted)} == {
+        "A": {},
+        "n": simpler,
+        "p": {},
+    }

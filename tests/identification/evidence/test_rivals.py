@@ -12,9 +12,11 @@ import pytest
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import default_free_parameters, fit
 from hframe_gym.identification.evidence import rivals
+from hframe_gym.identification.fit.estimation import Fit
 from hframe_gym.identification.fit.model_error import likelihood_loss
 from hframe_gym.identification.judge.chance import LongRunVariance
 from hframe_gym.identification.predict.prediction import POLISH_STEP
+from hframe_gym.machine import AppliedEffect
 from tests.identification.scripted_fits import AXIS, CRITERIA, DRAG, HFRAME, PUSH, SPRING, fit_with
 from tests.identification.single_axis import axis_runs
 
@@ -123,3 +125,25 @@ def test_an_effect_of_the_machine_remains_no_rival_of_another_one() -> None:
     current = fit_with(SPRING, PUSH, chi2=1.0)
     data = axis_runs(AXIS, rows=20, volts=3.0)
     assert rivals.compare_rivals(current, SPRING.label, (PUSH,), data, CRITERIA) == (None, ())
+
+
+@pytest.mark.parametrize(("n", "better"), [(0.9998, False), (12.0, True)])
+def test_a_rival_that_is_the_simpler_effect_itself_is_dropped(
+    monkeypatch: pytest.MonkeyPatch, n: float, better: bool
+) -> None:
+    """An interpolation error of one period a turn is an eccentric encoder."""
+    eccentric = EFFECTS["eccentric_encoder"].at("phi1_rad", A=0.02, p=0.7)
+    other = EFFECTS["interpolation_error"].at("phi1_rad", A=0.02, n=n, p=0.7)
+
+    def fitted(effect: AppliedEffect, chi2: float) -> Fit:
+        return dataclasses.replace(fit_with(chi2=chi2), machine=HFRAME.with_effects(effect))
+
+    monkeypatch.setattr(rivals, "fit_in_place_of", lambda *_, **__: fitted(other, 1.0))
+    monkeypatch.setattr(rivals, "most_likely_fit", lambda start, *_: start)
+    monkeypatch.setattr(rivals, "likelihood_loss", lambda fitted, _: fitted.chi2)
+    monkeypatch.setattr(rivals, "long_run_variance", lambda *_: LongRunVariance(1.0))
+    monkeypatch.setattr(rivals, "_goal", lambda *_: 0.0)
+    data: Any = SimpleNamespace(count=1e4, has_voltage_errors=False)
+    compared = rivals.compare_rivals(fitted(eccentric, 1.1), eccentric.label, (other,), data, CRITERIA)
+    assert (compared.better is not None) == better
+    assert compared.remaining == ((other,) if better else ())

@@ -70,6 +70,22 @@ def by_another(value: float, other: float, std: float) -> SizeByFit:
     return SizeByFit("c", value, other, lambda: std)
 
 
+@pytest.mark.parametrize(
+    ("n", "reason"),
+    [
+        (0.991, "is eccentric_encoder, which has fewer parameters: n = 0.991 instead of 1"),
+        (1.009, "is eccentric_encoder, which has fewer parameters: n = 1.009 instead of 1"),
+        (0.989, ""),
+        (1.011, ""),
+    ],
+)
+def test_an_effect_that_is_a_simpler_one_is_doubted(n: float, reason: str) -> None:
+    value = ParameterValue("n", "", n, simpler={1.0: "eccentric_encoder"})
+    of_effect = evidence(parameters=(value,))
+    assert judge.doubt_about_candidate(of_effect, CRITERIA) == reason
+    assert judge.doubt_beside_others(of_effect, CRITERIA) == reason
+
+
 OTHER_SIZE = (
     "has another size in fast errors (c = 0.0042 instead of 0.00072), as what imitates voltages between the "
     "rows does"
