@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...arrays import Array
+from ...machine import Machine
 from ...preparation.dataset import Dataset
 from ..judge.chance import LongRunVariance
 from ..predict.free_parameters import prior_precision
@@ -43,8 +44,26 @@ def long_run_variance(fitted: Fit, label: str, data: Dataset) -> LongRunVariance
     model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, fitted.longest_step)
     runs = list(map_runs(model.at(fitted.theta).linearize_run, data))
     of_effect = np.array([parameter.name.startswith(f"{label}.") for parameter in fitted.free])
-    blocks = [block_size(seconds, fitted.machine, data) for seconds in (_NOISE_S, BLOCK_S)]
-    return variance_along(runs, of_effect, prior_precision(fitted.free), *blocks)
+    return variance_along(runs, of_effect, prior_precision(fitted.free), *_blocks(fitted.machine, data))
+
+
+def variance_of_change(
+    runs: Sequence[tuple[Array, Array]], machine: Machine, data: Dataset
+) -> LongRunVariance:
+    """Return the same factor as `long_run_variance` for a change of predictions without free parameters.
+
+    Args:
+        runs: Of each run, the change and the residual beside it, in units of the noise, shape (values,) each.
+        machine: Machine with the sensors of these values.
+        data: Data set of the runs, for the sampling period.
+    """
+    rows = [RunLinearization(change[None], None, residual, None) for change, residual in runs]
+    return variance_along(rows, np.array([True]), np.zeros((1, 1)), *_blocks(machine, data))
+
+
+def _blocks(machine: Machine, data: Dataset) -> tuple[int, int]:
+    """Return the numbers of values in a block of 50 ms and in one of 0.5 s."""
+    return block_size(_NOISE_S, machine, data), block_size(BLOCK_S, machine, data)
 
 
 def variance_along(

@@ -42,6 +42,9 @@ class VerdictEvidence:
             forces.
         reduction: Actual / expected reduction of the squared prediction error by the effects, dimensionless.
             The expected one, of true effects, is the square of their change of the predictions.
+        reduction_std: Standard deviation of `reduction` of true effects, because the error that is left is
+            correlated in time. Only for a log slower than its controller.
+        reduction_by_chance: Value of `reduction` that effects which do not exist hardly ever reach.
         voltages_known: Whether the log contains all voltages.
         predicted: Chi-squared per sample of predictions, relative to what noise and unknown voltages cause:
             the larger value of the widest observer and the one that judges effects. Only for a log slower
@@ -58,6 +61,8 @@ class VerdictEvidence:
     voltages_known: bool = True
     remaining_fast: float = math.inf
     reduction: float = 0.0
+    reduction_std: float = 0.0
+    reduction_by_chance: float = math.inf
     predicted: float = 1.0
     unstable: UnstableMotion | None = None
 
@@ -65,6 +70,16 @@ class VerdictEvidence:
     def remaining_simulation(self) -> float:
         """Fraction of the squared simulation error, beyond the noise, that remains with the effects."""
         return remaining(self.left**2, self.left_before**2, 1.0)
+
+    @property
+    def removes_enough(self) -> bool:
+        """Whether the effects remove what they should, or fall short of it by no more than their deviation.
+
+        Few independent pieces of a slow log determine this deviation, so that effects which fall short must
+        also remove more than chance.
+        """
+        short = self.reduction_std if self.reduction >= self.reduction_by_chance else 0.0
+        return AS_GOOD * (self.reduction + short) >= 1.0
 
     @property
     def in_words(self) -> str:
@@ -225,7 +240,7 @@ def contradiction_of_names(evidence: VerdictEvidence, explained: bool, criteria:
         other_cause = not evidence.voltages_known
     else:
         other_cause = evidence.causes_named and evidence.remaining_fast <= criteria.max_partial_excess
-    if other_cause and AS_GOOD * evidence.reduction >= 1.0:
+    if other_cause and evidence.removes_enough:
         return ""
     # Of a real machine, a tenth of the error may remain whatever is added. Effects that are its main causes
     # hold all the same; a wrong effect that imitates a cause acts elsewhere, or depends on another variable.

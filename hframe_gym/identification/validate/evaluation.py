@@ -25,8 +25,10 @@ from ..evidence.tried_effects import SelectedEffect
 from ..fit.channel_errors import errors_by_channel
 from ..fit.covariance import with_uncertainty
 from ..fit.estimation import prediction_cost
+from ..fit.long_run_variance import variance_of_change
 from ..fit.start_estimation import refine_dataset
 from ..fit.voltage_updates import is_timing
+from ..judge.chance import LongRunVariance, chance_gain
 from ..judge.criteria import SelectionCriteria
 from ..judge.effect import uncertain_size
 from ..judge.unstable_motion import UnstableMotion, explains_unstable_motion, is_unstable
@@ -244,7 +246,13 @@ class HeldOutTest:
             return contradiction_of_no_effect(evidence, self.criteria)
         reason = contradiction_of_names(evidence, outcome.explained, self.criteria)
         if reason and outcome.explained and not evidence.voltages_known:
-            evidence = dataclasses.replace(evidence, reduction=_reduction(evaluated, differing))
+            removal = _removal(evaluated, differing)
+            evidence = dataclasses.replace(
+                evidence,
+                reduction=removal.reduction,
+                reduction_std=removal.std,
+                reduction_by_chance=removal.by_chance(self.criteria),
+            )
             reason = contradiction_of_names(evidence, outcome.explained, self.criteria)
         elif reason and not outcome.explained:  # ranking the causes takes seconds
             part = representative_part(outcome.data, outcome.before.machine)
@@ -490,22 +498,58 @@ def _with_fast_error(
     return dataclasses.replace(
         evidence,
         remaining_fast=_remaining_prediction(evaluated, held_out, SEARCH_BANDWIDTH, floor),
-        reduction=_reduction(evaluated, differing),
+        reduction=_removal(evaluated, differing).reduction,
     )
 
 
-def _reduction(evaluated: Evaluated, differing: Sequence[str]) -> float:
-    """Return by how much effects reduce the predictions' squared error / by how much right ones do."""
+class _Removal(NamedTuple):
+    """What effects remove from the squared error of predictions, in units of the noise.
+
+    Attributes:
+        removed: Reduction of the squared error.
+        expected: That by effects that are right: the square of their change of the predictions.
+        variance: Variance of the remaining error in the direction of this change.
+    """
+
+    removed: float
+    expected: float
+    variance: LongRunVariance
+
+    @property
+    def reduction(self) -> float:
+        """Actual / expected reduction, dimensionless."""
+        return self.removed / self.expected if self.expected > 0.0 else 0.0
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of `reduction`.
+
+        The reduction differs from the expected one by twice the sum of products of the change and the
+        remaining error.
+        """
+        return 2.0 * math.sqrt(self.variance.ratio / self.expected) if self.expected > 0.0 else 0.0
+
+    def by_chance(self, criteria: SelectionCriteria) -> float:
+        """Return the value of `reduction` that effects which do not exist hardly ever reach."""
+        limit = chance_gain(self.variance, criteria)
+        return limit / self.expected if self.expected > 0.0 else math.inf
+
+
+def _removal(evaluated: Evaluated, differing: Sequence[str]) -> _Removal:
+    """Return by how much effects reduce the predictions' squared error, and by how much right ones do."""
     held_out = _quiet(evaluated, _agreeing(evaluated, differing))
-    removed = right = 0.0
+    removed = expected = 0.0
+    runs = []
     for run in held_out.runs:
         before, after = (
             prediction_residuals(model.machine, run, held_out, JUDGING_BANDWIDTH, longest_step=POLISH_STEP)
             for model in (evaluated.before, evaluated.after)
         )
         removed += float(np.sum(before**2) - np.sum(after**2))
-        right += float(np.sum((before - after) ** 2))
-    return removed / right if right > 0.0 else 0.0
+        expected += float(np.sum((before - after) ** 2))
+        runs.append((before - after, after))
+    variance = variance_of_change(runs, evaluated.after.machine, held_out)
+    return _Removal(removed, expected, variance)
 
 
 def _corrected(

@@ -10,10 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from hframe_gym.dynamics import simulate_batch
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import SelectionCriteria, identify, prepare
+from hframe_gym.identification.fit.long_run_variance import variance_of_change
 from hframe_gym.identification.judge.unstable_motion import UnstableMotion
 from hframe_gym.identification.judge.verdict import (
     VerdictEvidence,
@@ -23,7 +25,12 @@ from hframe_gym.identification.judge.verdict import (
 )
 from hframe_gym.identification.propose.dependences import Dependence, agree_with_causes
 from hframe_gym.identification.search.outcome import SearchOutcome
-from hframe_gym.identification.validate.evaluation import Evaluated, _with_fast_error, judged
+from hframe_gym.identification.validate.evaluation import (
+    Evaluated,
+    _Removal,
+    _with_fast_error,
+    judged,
+)
 from hframe_gym.machine import AppliedEffect, Machine
 from hframe_gym.recordings import Recording
 from tests.identification.single_axis import AXIS, limited_runs
@@ -188,6 +195,51 @@ def test_effects_are_named_beside_what_unknown_voltages_leave(
 ) -> None:
     evidence = VerdictEvidence(2.33, 2.53, 0.007, 2e-3, 0.505, voltages_known=known, reduction=reduction)
     assert (contradiction_of_names(evidence, True, CRITERIA) == "") == named
+
+
+@pytest.mark.parametrize(
+    ("reduction", "std", "by_chance", "named"),
+    [
+        (0.80, 0.22, 0.50, True),  # friction by load that six fitted runs confirm
+        (0.80, 0.02, 0.50, False),  # it imitates something
+        (0.69, 0.30, 1.92, False),  # chance reaches as much
+        (0.60, 0.22, 0.50, False),
+        (0.85, 0.00, 1.92, True),  # what removes enough need not exceed chance: the fitted runs have said so
+    ],
+)
+def test_effects_of_slow_logs_may_fall_short_by_their_deviation(
+    reduction: float, std: float, by_chance: float, named: bool
+) -> None:
+    evidence = VerdictEvidence(
+        2.61,
+        2.73,
+        0.01,
+        1.5e-3,
+        0.78,
+        voltages_known=False,
+        reduction=reduction,
+        reduction_std=std,
+        reduction_by_chance=by_chance,
+    )
+    assert (contradiction_of_names(evidence, True, CRITERIA) == "") == named
+
+
+def test_the_deviation_of_the_reduction_is_that_of_repeated_logs() -> None:
+    """Noise of a sensor lasts 20 ms; the reductions scatter six times as much as with white noise."""
+    rng, samples = np.random.default_rng(1), 20_000
+    data: Any = SimpleNamespace(period=0.001)
+    change = np.sin(1e-3 * np.arange(samples)) / 5.0
+    reductions, deviations = [], []
+    for _ in range(60):
+        noise = lfilter([math.sqrt(1.0 - 0.95**2)], [1.0, -0.95], rng.normal(size=samples))
+        removed = float(np.sum((change + noise) ** 2) - np.sum(noise**2))
+        removal = _Removal(
+            removed, float(np.sum(change**2)), variance_of_change([(change, noise)], AXIS, data)
+        )
+        reductions.append(removal.reduction)
+        deviations.append(removal.std)
+    assert np.mean(reductions) == pytest.approx(1.0, abs=0.3)
+    assert np.median(deviations) == pytest.approx(np.std(reductions), rel=0.4)
 
 
 @pytest.mark.parametrize(("size", "reduction", "fast"), [(0.3, 1.0, 0.0), (0.6, 0.0, 1.0)])
