@@ -105,13 +105,20 @@ class _KnownErrors(NamedTuple):
         moving: The machine with the zeros of its encoders, without what its motion does not depend on.
         reference: Runs that it was fitted to, if its zeros follow from them; None otherwise.
         errors: Its errors.
+        refined: The held-out runs with the initial states that follow from this machine.
         seconds: Processor time of the evaluation, s.
     """
 
     moving: Machine
     reference: Dataset | None
     errors: ModelEvaluation
+    refined: Dataset
     seconds: float
+
+
+def _moving(machine: Machine) -> Machine:
+    """Return a machine without what its motion does not depend on."""
+    return machine.replace(name="", uncertainty=None)
 
 
 @dataclass(frozen=True)
@@ -153,16 +160,42 @@ class HeldOutTest:
             The machine with its errors, see `evaluate_held_out`.
         """
         named = machine.replace(name=name) if name else machine
-        moving = with_encoder_zeros(machine, fitted).replace(name="", uncertainty=None)
-        reference = fitted if may_correct_zeros(self.held_out, machine) else None
-        for known in self._known:
-            if known.reference is reference and known.moving == moving:
-                again = known.errors.machine.replace(name=named.name, uncertainty=named.uncertainty)
-                return dataclasses.replace(known.errors, machine=again)
+        located = with_encoder_zeros(named, fitted)
+        if known := self._known_of(located, fitted):
+            again = known.errors.machine.replace(name=named.name, uncertainty=named.uncertainty)
+            return dataclasses.replace(known.errors, machine=again)
         began = time.process_time()
-        errors = evaluate_held_out(named, fitted, self.complete_runs, self.session.recordings)
-        self._known.append(_KnownErrors(moving, reference, errors, time.process_time() - began))
+        refined = refine_dataset(self.complete_runs, located, fitted)
+        errors = evaluate_held_out(located, refined, self.session.recordings)
+        self._known.append(
+            _KnownErrors(
+                _moving(located),
+                self._reference(located, fitted),
+                errors,
+                refined,
+                time.process_time() - began,
+            )
+        )
         return errors
+
+    def refined_runs(self, model: ModelEvaluation, fitted: Dataset) -> Dataset:
+        """Return the held-out runs with the initial states that follow from a machine.
+
+        Args:
+            model: Machine with its errors, which were computed with these runs.
+            fitted: Runs that the machine was fitted to.
+        """
+        known = self._known_of(model.machine, fitted)
+        return known.refined if known else refine_dataset(self.complete_runs, model.machine, fitted)
+
+    def _known_of(self, located: Machine, fitted: Dataset) -> _KnownErrors | None:
+        """Return what is known about a machine that moves like this one, with the zeros of its encoders."""
+        moving, reference = _moving(located), self._reference(located, fitted)
+        return next((k for k in self._known if k.reference is reference and k.moving == moving), None)
+
+    def _reference(self, machine: Machine, fitted: Dataset) -> Dataset | None:
+        """Return the runs that a machine was fitted to, if its zeros follow from them."""
+        return fitted if may_correct_zeros(self.held_out, machine) else None
 
     def seconds(self) -> float:
         """Return the processor time of the slowest evaluation so far, s; 0 before the first one.
@@ -326,7 +359,7 @@ class Evaluated(NamedTuple):
     @property
     def held_out(self) -> Dataset:
         """Held-out runs with the initial states that follow from the machine with the effects."""
-        return refine_dataset(self.test.complete_runs, self.after.machine, self.outcome.data)
+        return self.test.refined_runs(self.after, self.outcome.data)
 
 
 class Judged(NamedTuple):

@@ -16,7 +16,6 @@ from ...preparation.dataset import Dataset, PreparedRecording
 from ...preparation.session_zeros import refine_encoder_zeros
 from ...recordings import Recording
 from ..fit.channel_errors import ChannelError, errors_by_channel
-from ..fit.start_estimation import refine_dataset
 from ..forces.force_sizes import lacking_force
 from ..forces.inverse_dynamics import force_error
 from ..judge.sensor import SensorEvidence, deviates_alone
@@ -119,32 +118,25 @@ def error_ratio(evaluation: ModelEvaluation, reference: ModelEvaluation) -> floa
     return math.exp(sum(ratios) / len(ratios)) if ratios else 0.0
 
 
-def evaluate_held_out(
-    machine: Machine,
-    fitted: Dataset,
-    held_out: Dataset,
-    recordings: Sequence[Recording],
-) -> ModelEvaluation:
+def evaluate_held_out(machine: Machine, refined: Dataset, recordings: Sequence[Recording]) -> ModelEvaluation:
     """Evaluate a machine on held-out runs (not fitted): simulate it as ``hframe simulate`` does, and compare.
 
-    The zeros of the encoders (measurements at position 0), estimated from all fitted runs together, are
-    written to the machine. Everything else about the initial states follows from each recording alone.
+    Everything about the initial states but the zeros of the encoders follows from each recording alone.
 
     Args:
-        fitted: Runs that the machine was fitted to.
-        held_out: Runs to evaluate on, as prepared for identification.
+        machine: Machine with the zeros of its encoders, see `with_encoder_zeros`.
+        refined: Runs to evaluate on, as prepared for identification and refined for this machine
+            (`refine_dataset`).
         recordings: The recordings of these runs as they were measured; others are ignored.
 
     Returns:
-        The machine with these zeros, its errors by channel, and its simulation errors (measured minus
-        simulated), in the sensors' units, shape (n, sensors) for each run. If the motion of a run diverges,
-        `diverged` names it, its errors are NaN, and no error is given for any channel.
+        The machine, its errors by channel, and its simulation errors (measured minus simulated), in the
+        sensors' units, shape (n, sensors) for each run. If the motion of a run diverges, `diverged` names it,
+        its errors are NaN, and no error is given for any channel.
 
     Raises:
         KeyError: If the recording of a run is missing.
     """
-    machine = with_encoder_zeros(machine, fitted)
-    refined = refine_dataset(held_out, machine, fitted)
     measured = {recording.name: recording for recording in recordings}
 
     def simulated(run: PreparedRecording) -> tuple[Array, tuple[str, ...], bool]:
@@ -162,7 +154,7 @@ def evaluate_held_out(
     errors = {run.name: error for run, (error, *_) in zip(refined.runs, results, strict=True)}
     diverged = tuple(run.name for run, (*_, infinite) in zip(refined.runs, results, strict=True) if infinite)
     channels = errors_by_channel(
-        list(errors.values()), machine, held_out.noise, [run.outputs for run in refined.runs]
+        list(errors.values()), machine, refined.noise, [run.outputs for run in refined.runs]
     )
     if diverged:  # an error over the other runs would be compared with those of other machines over all runs
         channels = dict.fromkeys(channels, ChannelError(None, None))

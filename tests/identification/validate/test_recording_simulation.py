@@ -11,13 +11,15 @@ import pytest
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import (
+    SelectionCriteria,
     estimate_initial_state,
     prepare,
     simulate_recording,
 )
 from hframe_gym.identification.fit.channel_errors import ChannelError
 from hframe_gym.identification.fit.lost_voltages import estimate_lost_voltages
-from hframe_gym.identification.validate import recording_simulation
+from hframe_gym.identification.fit.start_estimation import refine_dataset
+from hframe_gym.identification.validate import evaluation, recording_simulation
 from hframe_gym.identification.validate.machine_errors import (
     ModelEvaluation,
     PredictionErrors,
@@ -25,6 +27,7 @@ from hframe_gym.identification.validate.machine_errors import (
     with_encoder_zeros,
 )
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, rest_state
+from hframe_gym.preparation.dataset import Dataset
 from hframe_gym.preparation.runs.left_out import with_known_positions
 from hframe_gym.preparation.session import prepare_session
 from hframe_gym.preparation.start.rest import rest_and_noise
@@ -55,6 +58,14 @@ def record(
         inputs,
         np.hstack([encoders, ideal[:, 2:] + rng.normal(0.0, 20e-6, (len(time_s), 2))]),
     )
+
+
+def evaluated(
+    machine: Machine, fitted: Dataset, held_out: Dataset, recordings: list[Recording]
+) -> ModelEvaluation:
+    """Return the errors of a machine on held-out runs, which are refined for it."""
+    located = with_encoder_zeros(machine, fitted)
+    return evaluate_held_out(located, refine_dataset(held_out, located, fitted), recordings)
 
 
 @pytest.fixture
@@ -168,7 +179,7 @@ def test_a_written_machine_has_the_errors_that_the_report_states(
     fitted, held_out = data.with_runs(["run_0", "run_1", "run_2"]), data.with_runs(["run_3", "run_4"])
     cable = hframe.with_effects(EFFECTS["cable_spring"].at("y", k=2.0, q0=0.2))
     for machine in (hframe, cable):
-        evaluation = evaluate_held_out(machine, fitted, held_out, session)
+        evaluation = evaluated(machine, fitted, held_out, session)
         save_machine(evaluation.machine, tmp_path / "machine.json")
         written = load_machine(tmp_path / "machine.json")
         errors = [simulate_recording(written, run).error for run in session[3:]]
@@ -181,7 +192,7 @@ def test_a_written_machine_has_the_errors_that_the_report_states(
 def test_errors_of_a_machine_that_diverges_are_reported(hframe: Machine, session: list[Recording]) -> None:
     data = prepare(session, hframe)
     light = hframe.replace(coordinates=tuple(dataclasses.replace(c, mass=1e-9) for c in hframe.coordinates))
-    evaluation = evaluate_held_out(light, data, data.with_runs(["run_3"]), session)
+    evaluation = evaluated(light, data, data.with_runs(["run_3"]), session)
     assert set(evaluation.held_out.channels) == set(hframe.output_channels)
 
 
@@ -269,7 +280,7 @@ def test_a_machine_whose_simulation_diverges_on_a_held_out_run_has_no_error(
     """The logged command is far above what the amplifier gives; observers still follow the real motion."""
     wild = dataclasses.replace(session[4], inputs=1e6 * session[4].inputs)
     data = prepare([*session[:4], wild], hframe)
-    evaluation = evaluate_held_out(hframe, data, data.with_runs(["run_3", "run_4"]), [*session[:4], wild])
+    evaluation = evaluated(hframe, data, data.with_runs(["run_3", "run_4"]), [*session[:4], wild])
     assert evaluation.diverged == ("run_4",)
     assert np.isnan(evaluation.errors["run_4"]).all()
     assert np.isfinite(evaluation.errors["run_3"]).all()
@@ -324,3 +335,32 @@ def test_a_wrong_model_has_no_error_of_the_zero(hframe: Machine) -> None:
     held[:, 0] += 0.05  # rad; stretched belts at rest, which the encoder does not measure
     error = simulate_recording(hframe, Recording("run", time_s, inputs, held)).error[:, 0]
     assert np.sqrt(np.mean(error**2)) < 0.01
+
+
+def test_held_out_runs_are_refined_once_for_each_machine(
+    hframe: Machine, session: list[Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The states of a friction that remembers are estimated from a whole run, which takes seconds."""
+    data = prepare(session, hframe)
+    fitted, held_out = data.with_runs(["run_0", "run_1", "run_2"]), data.with_runs(["run_3"])
+    refined: list[Machine] = []
+
+    def counted(runs: Dataset, machine: Machine, reference: Dataset | None = None) -> Dataset:
+        refined.append(machine)
+        return refine_dataset(runs, machine, reference)
+
+    monkeypatch.setattr(evaluation, "refine_dataset", counted)
+    test = evaluation.HeldOutTest(
+        prepare_session(session, hframe, lambda line: None), held_out, SelectionCriteria()
+    )
+    model = test.errors(hframe, fitted)
+    again = test.errors(hframe, fitted, "renamed")
+    runs = test.refined_runs(again, fitted)
+    assert len(refined) == 1
+    expected = refine_dataset(test.complete_runs, model.machine, fitted)
+    np.testing.assert_array_equal(runs.runs[0].outputs, expected.runs[0].outputs)
+    heavier = dataclasses.replace(
+        model, machine=hframe.replace({"x.mass": 2.0 * hframe.parameters["x.mass"]})
+    )
+    test.refined_runs(heavier, fitted)
+    assert len(refined) == 2

@@ -72,6 +72,9 @@ class HeldOutRuns:
     def seconds(self) -> float:
         return 0.0
 
+    def refined_runs(self, model: ModelEvaluation, fitted: object) -> Any:
+        return self.complete_runs
+
     @property
     def held_out(self) -> Any:
         return SimpleNamespace(runs=(1,))
