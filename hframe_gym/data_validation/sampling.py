@@ -30,8 +30,7 @@ from ..identification import (
 from ..identification.fit.voltage_updates import describe_interpolation, voltage_updates
 from ..identification.predict.prediction import SEARCH_BANDWIDTH
 from ..identification.predict.voltage_errors import with_voltage_errors
-from ..machine import Machine
-from ..preparation.start.belt_stretch import rigid_basis
+from ..machine import Machine, rigid_basis
 from ..recordings import GAP_PERIODS, Recording, missing_rows, repetitions, usual_step
 from .findings import Finding, Severity
 

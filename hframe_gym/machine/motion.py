@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -187,6 +188,30 @@ def rest_positions_per_axis(machine: Machine) -> Array:
     for column, row in enumerate(np.eye(len(tool))):
         positions[:, column] = _unstretched(machine, [*tool, *others], [*row, *(0.0 for _ in others)])
     return positions
+
+
+def rigid_basis(machine: Machine) -> Array:
+    """Return a basis of the rigid motions: displacements that stretch neither belts nor springs.
+
+    Returns:
+        Displacements of the coordinates, m or rad, one rigid motion per column,
+        shape (coordinates, rigid motions).
+    """
+    if not machine.belts:
+        held = np.isin(machine.coordinate_names, machine.spring_loaded)
+        return np.eye(len(machine.coordinates))[:, ~held]
+    constraints = [machine.coefficients(b.extension) for b in machine.belts]
+    constraints += [machine.coefficients({name: 1.0}) for name in machine.spring_loaded]
+    unstretched = _unstretched_travel(tuple(map(tuple, np.array(constraints).tolist())))
+    return np.asarray(unstretched / machine.travel_per_unit[:, None])
+
+
+@lru_cache(maxsize=64)  # of few machines, but asked for before every prediction
+def _unstretched_travel(constraints: tuple[tuple[float, ...], ...]) -> Array:
+    """Return a basis of the belt travels of the coordinates, m, that are 0 in all constraints."""
+    from scipy.linalg import null_space
+
+    return np.asarray(null_space(np.array(constraints)))
 
 
 def rigid_motions(machine: Machine) -> dict[str, Array]:

@@ -25,10 +25,9 @@ import numpy as np
 from ...arrays import Array
 from ...dynamics import resolved_step, simulate_batch
 from ...dynamics.simulation import Motion, threads
-from ...machine import Machine, carried_through_contacts
+from ...machine import Machine, carried_through_contacts, rigid_basis
 from ...parallel import single_threaded_linear_algebra
 from ...preparation.dataset import Dataset, PreparedRecording
-from ...preparation.start.belt_stretch import rigid_basis
 from ...preparation.start.sensor_zeros import max_zero_means, zeros_from_means
 from .error_loops import mean_errors, scaled_errors
 

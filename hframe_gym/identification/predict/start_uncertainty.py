@@ -19,14 +19,9 @@ from scipy.linalg import null_space
 from ...arrays import Array
 from ...dynamics import Equations
 from ...dynamics.simulation import Motion, parameter_batch
-from ...machine import Machine, carried_through_contacts
+from ...machine import Machine, carried_through_contacts, rigid_basis
 from ...preparation.dataset import Dataset, PreparedRecording
-from ...preparation.start.belt_stretch import (
-    linear_coordinates,
-    rigid_basis,
-    stretch_angles,
-    vibration_speeds,
-)
+from ...preparation.start.belt_stretch import linear_coordinates, stretch_angles, vibration_speeds
 from ...preparation.start.measured_state import InitialState
 from ...preparation.start.modeled_state import model_initial_states
 from .prediction import SEARCH_STEP, predict, residuals, whitened

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ...arrays import Array
-from ...machine import Machine
+from ...machine import Machine, rigid_basis
 from ...preparation.dataset import Dataset, PreparedRecording
-from ...preparation.start.belt_stretch import rigid_basis
 from .prediction import LONGEST_OBSERVER_PERIOD, POLISH_STEP, mechanical_rows_per_block, predict, residuals
 
 Rows = NDArray[np.intp]

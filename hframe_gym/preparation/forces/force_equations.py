@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...arrays import Array
-from ...machine import Machine, rigid_motions
-from ..start.belt_stretch import rigid_basis
+from ...machine import Machine, rigid_basis, rigid_motions
 from .motion_windows import MotionWindows
 
 _RESTING = 0.02  # fraction of the largest speed; below, static friction may have any value

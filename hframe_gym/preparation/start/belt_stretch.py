@@ -8,11 +8,9 @@ from run to run, and only its typical size is known.
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import null_space
 
 from ...arrays import Array
 from ...dynamics import effect_forces, stiffness_matrix
@@ -32,28 +30,6 @@ def linear_coordinates(machine: Machine) -> NDArray[np.bool_]:
         True for linear, False for rotary coordinates, shape (coordinates,).
     """
     return np.array([c.kind == "linear" for c in machine.coordinates])
-
-
-def rigid_basis(machine: Machine) -> Array:
-    """Return a basis of the rigid motions: displacements that stretch neither belts nor springs.
-
-    Returns:
-        Displacements of the coordinates, m or rad, one rigid motion per column,
-        shape (coordinates, rigid motions).
-    """
-    if not machine.belts:
-        held = np.isin(machine.coordinate_names, machine.spring_loaded)
-        return np.eye(len(machine.coordinates))[:, ~held]
-    constraints = [machine.coefficients(b.extension) for b in machine.belts]
-    constraints += [machine.coefficients({name: 1.0}) for name in machine.spring_loaded]
-    unstretched = _unstretched_travel(tuple(map(tuple, np.array(constraints).tolist())))
-    return np.asarray(unstretched / machine.travel_per_unit[:, None])
-
-
-@lru_cache(maxsize=64)  # of few machines, but asked for before every prediction
-def _unstretched_travel(constraints: tuple[tuple[float, ...], ...]) -> Array:
-    """Return a basis of the belt travels of the coordinates, m, that are 0 in all constraints."""
-    return np.asarray(null_space(np.array(constraints)))
 
 
 def static_equilibrium(machine: Machine, positions: Array) -> Array:

@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 
 from ...arrays import Array
 from ...dynamics.physics.effect_instances import instances_with_state
-from ...machine import Machine, Sensor, commanded_state
+from ...machine import Machine, Sensor, commanded_state, rigid_basis
 from ...recordings import Recording
-from .belt_stretch import rigid_basis
 from .encoder_zeros import EncoderZeros
 from .initial_velocity import InitialVelocity, initial_velocity
 from .rest import count_resting_rows

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...arrays import Array, Quanta
-from ...machine import AppliedEffect, Machine, Sensor, rest_state
+from ...machine import AppliedEffect, Machine, Sensor, rest_state, rigid_basis
 from ...recordings import Recording
-from .belt_stretch import linear_coordinates, rigid_basis, static_equilibrium
+from .belt_stretch import linear_coordinates, static_equilibrium
 from .encoder_zeros import EncoderZeros, zero_tolerance
 from .measured_state import InitialState, estimate_initial_state
 

@@ -10,9 +10,9 @@ import pytest
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import simulate_recording
-from hframe_gym.machine import Machine, Sensor
+from hframe_gym.machine import Machine, Sensor, rigid_basis
 from hframe_gym.preparation.runs.moving import moving_runs
-from hframe_gym.preparation.start.belt_stretch import rigid_basis, stretch_angles
+from hframe_gym.preparation.start.belt_stretch import stretch_angles
 from hframe_gym.preparation.start.initial_velocity import InitialVelocity, initial_velocity
 from hframe_gym.preparation.start.measured_state import estimate_initial_state
 from hframe_gym.recordings import Recording, load_machine
