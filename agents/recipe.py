@@ -230,9 +230,11 @@ def load_recipe(name: str, task: str) -> Recipe:
         names = {recipe.rpartition("_")[0] for recipe in recipe_names()}
         listed = ", ".join(" on ".join(recipe.rsplit("_", 1)) for recipe in recipe_names())
         likewise = "" if trained == task else f" (the task {task} has the recipes of {trained})"
+        meant = suggestion(name, names)
+        if name in recipe_names():  # with the name of its task, as in the list of recipes of the folder
+            meant = "; did you mean {!r} for the task {}?".format(*name.rsplit("_", 1))
         raise InputError(
-            f"there is no recipe for {name} on {trained}{likewise}; "
-            f"choose one of: {listed}{suggestion(name, names)}"
+            f"there is no recipe for {name} on {trained}{likewise}; choose one of: {listed}{meant}"
         )
     recipe = Recipe(name=f"{name}_{trained}", **tomllib.loads(file.read_text("utf-8")))
     return recipe if trained == task else replace(recipe, task={})

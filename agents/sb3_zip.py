@@ -148,7 +148,11 @@ def _data(path: Path) -> dict[str, Any]:
     try:
         with zipfile.ZipFile(path) as archive:
             return dict(json.loads(archive.read("data")))
-    except (zipfile.BadZipFile, KeyError, ValueError, OSError) as error:
+    except KeyError:
+        raise InputError(
+            f"{path}: is no model that stable-baselines3 saved (it has no file named data)"
+        ) from None
+    except (zipfile.BadZipFile, ValueError, OSError) as error:
         raise InputError(f"{path}: is no model that stable-baselines3 saved ({error})") from None
 
 

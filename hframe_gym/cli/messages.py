@@ -18,7 +18,14 @@ from .output import plain_text
 _PACKAGE = Path(__file__).parents[1]
 FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 INPUT_AT_FAULT, INTERNAL_ERROR = 2, 1
+_FEW_COMMANDS = 8  # of a group such as `hframe machines`; all commands of hframe are in its help
 FAULT_FOUND = 1  # exit code of `hframe check` where the recordings have a fault
+_PLAIN_WORDS = {  # for those of pydantic about a value such as 2min or 10ms
+    "Input should be a valid number, unable to parse string as a number": "must be a number without a unit",
+    "Input should be a valid integer, unable to parse string as an integer": (
+        "must be a whole number without a unit"
+    ),
+}
 DEBUG_VARIABLE = "HFRAME_DEBUG"  # if set, errors keep their traceback
 
 
@@ -39,8 +46,10 @@ def describe_failure(error: Exception) -> tuple[int, str]:
     text = plain_text(" ".join((usage() if usage else str(error)).split()))
     if usage:
         text = text.replace("Value error, ", "")  # the mark of pydantic, with which Typer checks choices
+        for words, plain in _PLAIN_WORDS.items():
+            text = text.replace(words, plain)
         text = text or "Missing command"  # Typer prints the help of a group without a message
-        return INPUT_AT_FAULT, f"{text} ({_example(error)}see --help)"
+        return INPUT_AT_FAULT, f"{text} ({_example(error, text)}see --help)"
     if isinstance(error, InputError | ImportError):
         return INPUT_AT_FAULT, text
     if isinstance(error, NotFiniteError):
@@ -55,13 +64,19 @@ def describe_failure(error: Exception) -> tuple[int, str]:
     return INTERNAL_ERROR, f"internal error, please report it ({hint}): {type(error).__name__}: {text}"
 
 
-def _example(error: Exception) -> str:
-    """Return the example of the command in whose words something is missing; "" without any."""
+def _example(error: Exception, text: str) -> str:
+    """Return the example of the command in whose words something is missing or too much; "" without any.
+
+    Of a group whose command is unknown, these are its commands, if they are few.
+    """
     command = getattr(getattr(error, "ctx", None), "command", None)
+    names = list(getattr(command, "commands", {}))
+    if names:
+        unknown = text.startswith("No such command") and "Did you mean" not in text
+        return f"choose {', '.join(names)}; " if unknown and len(names) <= _FEW_COMMANDS else ""
     found = re.search(r"Examples?:\s+(hframe .+)", getattr(command, "help", None) or "")
-    return (
-        f"for example: {found[1].strip()}; " if found and type(error).__name__ == "MissingParameter" else ""
-    )
+    wrong_words = type(error).__name__ in ("MissingParameter", "UsageError")  # not the value of an option
+    return f"for example: {found[1].strip()}; " if found and wrong_words else ""
 
 
 def print_warning(

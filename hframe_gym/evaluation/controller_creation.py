@@ -152,7 +152,9 @@ def make_controller(
     sources = [CONTROLLER_SOURCES.get(source_name).describe(scenario) for source_name in CONTROLLER_SOURCES]
     choices = [", ".join(CONTROLLERS), "module:name of a controller that a module registers", *sources]
     problem = " is unknown"
-    if name.endswith(".zip"):
+    if Path(name).is_file():
+        problem = ": this file is no controller"
+    elif name.endswith(".zip"):
         problem = ": there is no such file"
     elif "/" in name or "\\" in name:
         problem = ": there is no such folder"

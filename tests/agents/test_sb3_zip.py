@@ -217,5 +217,7 @@ def test_other_zip_files_are_refused(tmp_path: Path) -> None:
     for name in ("other.zip", "text.zip"):
         with pytest.raises(InputError, match=f"{name}: is no model that stable-baselines3 saved"):
             make_controller(str(tmp_path / name), Scenario())
+    with pytest.raises(InputError, match="it has no file named data"):
+        make_controller(str(tmp_path / "other.zip"), Scenario())
     with pytest.raises(InputError, match="there is no such file"):
         make_controller(str(tmp_path / "missing.zip"))

@@ -263,6 +263,34 @@ def test_a_command_without_what_it_needs_says_what_is_missing_with_an_example(
     assert errors.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("machines new my", "for example: hframe machines new --like corexy --travel"),
+        ("effects shwo", "No such command 'shwo'"),
+        ("effects shwo", "choose list, new;"),
+        ("identify runs --out o --budget 2min", "'--budget': must be a number without a unit"),
+        ("train ppo --out o --seed 1e3", "'--seed': must be a whole number without a unit"),
+        ("train ppo_track --out o", "did you mean 'ppo' for the task track?"),
+        ("evaluate pid --out o --randomize lots", "identified, or, in Python, give a list"),
+        ("evaluate pid --out o --machine .", "machine '.' is a folder without machine.json"),
+        ("evaluate mine.toml --out o", "controller 'mine.toml': this file is no controller; choose pid"),
+    ],
+)
+def test_a_wrong_word_is_answered_with_a_right_one(
+    words: str,
+    message: str,
+    hframe_command: Callable[..., tuple[int, str, str]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.toml").write_text("steps = 10")
+    code, _, errors = hframe_command(*words.split())
+    assert code == 2
+    assert message in errors
+
+
 def test_a_group_without_a_command_prints_its_help_and_says_what_is_missing(
     hframe_command: Callable[..., tuple[int, str, str]],
 ) -> None:

@@ -179,8 +179,8 @@ def as_sensors(sensors: SensorsLike) -> SensorSuite | None:
         return sensors
     if not isinstance(sensors, str) or sensors not in SENSOR_PRESETS:
         raise InputError(
-            f"sensors is {sensors!r}; choose one of {', '.join(SENSOR_PRESETS)}, or give Sensors(...)"
-            f"{suggestion(sensors, SENSOR_PRESETS)}"
+            f"sensors is {sensors!r}; choose one of {', '.join(SENSOR_PRESETS)}, or, in Python, "
+            f"give Sensors(...){suggestion(sensors, SENSOR_PRESETS)}"
         )
     return SENSOR_PRESETS[sensors]
 

@@ -287,7 +287,8 @@ def as_rules(randomize: RandomizationLike, names: Sequence[str]) -> tuple[Rule, 
         if randomize not in RANDOMIZATION_PRESETS:
             presets = ", ".join(RANDOMIZATION_PRESETS)
             raise InputError(
-                f"randomize is {randomize!r}; choose one of {presets}, or a list of RandomizeParameter"
+                f"randomize is {randomize!r}; choose one of {presets}, or, in Python, give a list of "
+                "RandomizeParameter"
                 f"{suggestion(randomize, RANDOMIZATION_PRESETS)}"
             )
         preset = RANDOMIZATION_PRESETS[randomize]

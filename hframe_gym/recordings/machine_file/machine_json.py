@@ -48,6 +48,10 @@ def load_machine(source: str | Path | Machine) -> Machine:
         meant = (
             f"; did you mean {str(inside)!r}?" if inside.is_file() else suggestion(source, BUILTIN_MACHINES)
         )
+        if path.is_dir() and not meant:
+            raise InputError(
+                f"machine {str(source)!r} is a folder without machine.json; give the file of a machine"
+            )
         raise InputError(
             f"machine {str(source)!r} is neither a file nor one of {', '.join(BUILTIN_MACHINES)}{meant}"
         )
