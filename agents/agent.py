@@ -23,6 +23,7 @@ from ..errors import InputError
 from ..files import atomic_file, complete_commit, output_batch, write_text
 from ..machine import Machine, observed_coordinates
 from ..recordings import load_machine, save_machine
+from .action_conversion import ActionConversion
 from .agent_files import read_agent_json
 from .features import feature_parameters
 from .optional_dependencies import import_optional, single_threaded_torch
@@ -96,6 +97,7 @@ class Agent(Controller):
         mapping: Converts outputs of the policy to actions; None if the outputs are the actions.
         card: Contents of agent.json (`AGENT_KEYS`: recipe, task, control period, ...); further entries are
             not saved.
+        conversion: Conversion of the policy's actions, if it was trained on another machine. Default: none.
 
     Raises:
         InputError: If the control period in the card is not positive.
@@ -104,9 +106,15 @@ class Agent(Controller):
     feedback = "observation"
 
     def __init__(
-        self, policy: Any, mapping: ResidualAction | None, machine: Machine, card: Mapping[str, Any]
+        self,
+        policy: Any,
+        mapping: ResidualAction | None,
+        machine: Machine,
+        card: Mapping[str, Any],
+        conversion: ActionConversion | None = None,
     ) -> None:
         super().__init__(machine, card["period"])
+        self._conversion = conversion
         self.policy = policy
         self.mapping = mapping
         self.card = dict(card)
@@ -132,7 +140,10 @@ class Agent(Controller):
         policy_input = {key: policy_input[key] for key in self.policy.observation_space.spaces}
         with single_threaded_torch():
             outputs, _ = self.policy.predict(policy_input, deterministic=True)
-        return self.mapping.action(outputs) if self.mapping else np.asarray(outputs, np.float64)
+        if self.mapping:
+            return self.mapping.action(outputs)
+        actions = np.asarray(outputs, np.float64)
+        return self._conversion.to_machine(actions) if self._conversion else actions
 
     @cached_property
     def _check_units(self) -> UnitCheck:
@@ -196,7 +207,16 @@ class Agent(Controller):
         Args:
             folder: Folder for the files; created if it does not exist.
             weights: Weights as `weights()` returned them. Default: the present ones.
+
+        Raises:
+            InputError: If the voltages of the policy are converted to another machine than that of its
+                training, which the files hold.
         """
+        if self._conversion:
+            raise InputError(
+                f"agent {self.card['name']}: was loaded for another machine than that of its training; copy "
+                "its folder, and name the machine when you load the copy"
+            )
         safetensors = import_optional("safetensors.torch")
         tensors = {name: value.contiguous() for name, value in (weights or self.weights()).items()}
         contents = {key: self.card[key] for key in AGENT_KEYS}
@@ -212,13 +232,14 @@ class Agent(Controller):
 
         Args:
             machine: Machine for which the agent's feedback laws, base controller, estimator of parameters and
-                features are designed, such as an identified one; the weights stay as they are. Default: that
-                of the training.
+                features are designed, such as an identified one; the weights stay as they are, and the
+                voltages of a policy without a base controller are converted (`ActionConversion`). Default:
+                that of the training.
 
         Raises:
             InputError: If a file is missing, damaged or of another version, or the machine has other numbers
-                of axes, observed coordinates or drives than that of the training, or lacks a transfer of the
-                agent.
+                of axes, observed coordinates or drives than that of the training, has no `MotionModel`, or
+                lacks a transfer of the agent.
         """
         path = Path(folder)
         complete_commit(path)
@@ -227,6 +248,7 @@ class Agent(Controller):
         expected = feature_parameters(trained_on)
         if any(_shape(card["features"][key]) != _shape(expected[key]) for key in ("radii", "rest")):
             raise InputError(f"{path / 'agent.json'}: features do not fit the machine in machine.json")
+        conversion = None
         if machine is None:
             machine = trained_on
         else:
@@ -234,8 +256,11 @@ class Agent(Controller):
             if obstacle:
                 raise InputError(f"{path}: the agent {obstacle}")
             features = feature_parameters(machine, card["period"], **card["settings"].get("features", {}))
+            conversion = _conversion(trained_on, machine, card["settings"]["actuation"])
+            if conversion and "gains" in features:
+                features["gains"] = conversion.gains(features["gains"])
             card = {**card, "machine": machine.name, "features": features}
-        mapping = residual_action(machine, card["settings"]["actuation"], card["period"])
+        mapping = residual_action(machine, card["settings"]["actuation"], card["period"], conversion)
         space = observation_space(machine, card["previews"])
         exploration = (
             {"use_sde": True} if card["settings"].get("algorithm", {}).get("use_sde") is True else {}
@@ -250,7 +275,22 @@ class Agent(Controller):
         )
         load_weights(policy, path)
         policy.set_training_mode(False)
-        return cls(policy, mapping, machine, card)
+        return cls(policy, mapping, machine, card, conversion)
+
+
+def _conversion(
+    trained_on: Machine, machine: Machine, actuation: Mapping[str, Any]
+) -> ActionConversion | None:
+    """Return the conversion of a policy's actions to those of another machine, or None where it has none.
+
+    A policy that corrects a base controller needs none: near the goal, where gains decide whether the tool
+    oscillates, the feedback is that of the base, which is designed for the machine, and the correction has an
+    authority of a few percent of the rated voltage.
+    """
+    takes_voltages = not machine.drive_laws
+    if actuation.get("base") or not takes_voltages or same_parameters(machine, trained_on):
+        return None
+    return ActionConversion(trained_on, machine)
 
 
 def _no_optimizer(*_: Any, **__: Any) -> None:

@@ -27,6 +27,7 @@ from ..arrays import Actions
 from ..controllers import CONTROLLERS, DeadTime, EpisodeStarts, MotionModel, ParameterFilter
 from ..errors import InputError
 from ..machine import Machine, observed_coordinates
+from .action_conversion import ActionConversion
 from .feedback_laws import LARGEST_WEIGHTED, FeedbackLaws, PlanBank, TransferBank
 
 Observation = Mapping[str, NDArray[Any]]
@@ -139,6 +140,8 @@ class ResidualAction:
             weights.
         plans: Durations, in periods, of such motions that are designed for the estimated machine instead.
         parts: Whether to add the `ActionParts` to the observation, so that critics can compute the action.
+        conversion: Conversion of the actions that the policy commands and observes, if it was trained on
+            another machine; not of a base's. Default: none.
         **authority: Keyword arguments of `Authority`, which limits the policy's part of the action.
 
     Attributes:
@@ -168,6 +171,7 @@ class ResidualAction:
         transfers: Sequence[int] = (),
         plans: Sequence[int] = (),
         parts: bool = False,
+        conversion: ActionConversion | None = None,
         **authority: float,
     ) -> None:
         self.authority, self.period = Authority(**authority), period
@@ -194,6 +198,7 @@ class ResidualAction:
         if parts and not self.bank:
             raise InputError("parts = true needs transfers or plans")
         self._shows_parts = parts
+        self._conversion = conversion
         self.laws: FeedbackLaws | None = None
         self._integrates, self._axes = integral, len(machine.tool_axes)
         self._integral = np.zeros((0, 0))  # of the position error, m s, (batch, axes)
@@ -326,6 +331,8 @@ class ResidualAction:
             added["estimates"] = self._filter.estimates
         if self._integrates:
             added["error_integral"] = self._integral
+        if self._conversion:
+            added["last_action"] = self._conversion.to_training(self._last_action)
         if self._shows_parts:
             parts = self._parts()
             added |= {"action_offset": parts.offset, "authority": parts.authority}
@@ -343,6 +350,9 @@ class ResidualAction:
             output: Policy outputs, usually in [-1, 1], with the entries of `action_space`,
                 shape (batch, entries).
         """
+        if self._conversion:
+            own = self._conversion.to_machine(output[:, : self._drives])
+            output = np.concatenate([own, output[:, self._drives :]], axis=1)
         self.replace_last_action(np.clip(self._parts().action(output), -1.0, 1.0))
         return self._last_action
 
@@ -382,15 +392,18 @@ class ResidualAction:
             self.base.replace_last_action(actions)
 
 
-def residual_action(machine: Machine, settings: Mapping[str, Any], period: float) -> ResidualAction | None:
+def residual_action(
+    machine: Machine, settings: Mapping[str, Any], period: float, conversion: ActionConversion | None = None
+) -> ResidualAction | None:
     """Create the `ResidualAction` of a recipe, or None if the policy's outputs are the actions.
 
     Args:
-        settings: The recipe's table [actuation]: keyword arguments of `ResidualAction` except machine and
-            period.
+        settings: The recipe's table [actuation]: keyword arguments of `ResidualAction` except machine, period
+            and conversion.
         period: Control period, s.
+        conversion: See `ResidualAction`.
 
     Raises:
         InputError: See `ResidualAction`.
     """
-    return ResidualAction(machine, period, **settings) if settings else None
+    return ResidualAction(machine, period, conversion=conversion, **settings) if settings else None
