@@ -5,57 +5,53 @@ import pytest
 
 from hframe_gym.dynamics import simulate
 from hframe_gym.dynamics.simulation import LONGEST_STEP
-from hframe_gym.effects import EFFECTS, effect_sites
 from hframe_gym.envs import HFrameEnv, HFrameVectorEnv, Reach
 from hframe_gym.machine import BUILTIN_MACHINES
+from tests.effects.one_of_each import CASES, ELSEWHERE
 
 pytestmark = pytest.mark.integration
 
 # One effect of each kind: with a state, with a state at a drive, at a belt, with a new coordinate and
-# products in sensor rows, with tied belts.
-FAST = ("presliding", "electrical_lag", "belt_slack", "bridge_yaw", "idler_inertia")
-# Parameters for which the effect matters, where the amplitude's scale and the first value of the grid are too
-# small.
-NUMBERS = {
-    "eccentric_pulley": {"e": 1e-4, "p": 0.5},
-    "belt_play": {"d": 0.15e-3},
-    "belt_slack": {"T0": 15.0},
-    "bridge_yaw": {"J": 0.06, "k": 4000.0, "c": 0.6, "w": 0.3},
-    "electrical_lag": {"tau": 1.5e-3},
-    "idler_inertia": {"J_left": 0.5e-4, "J_right": 0.5e-4, "B_left": 0.0018, "B_right": 0.0018},
-    "input_delay": {"d": 2.3e-3},
-    "presliding": {"s0": 1e4, "s1": 60.0},
-}
-NAMES = [name if name in FAST else pytest.param(name, marks=pytest.mark.slow) for name in EFFECTS]
-REST = 3  # periods without voltage at first: delayed voltages from before the start differ
+# products in sensor rows, with tied belts, with parts that collide, with a drive that follows a position.
+FAST = (
+    "presliding",
+    "electrical_lag",
+    "belt_slack",
+    "bridge_yaw",
+    "idler_inertia",
+    "gear_backlash",
+    "servo_dead_band",
+)
+MACHINES = {**{name: ("hframe", case) for name, case in CASES.items()}, **ELSEWHERE}
+NAMES = [name if name in FAST else pytest.param(name, marks=pytest.mark.slow) for name in MACHINES]
+REST = 3  # periods without a command at first: delayed voltages from before the start differ
+REACH = {"hframe": Reach(start=(0.02, 0.01), target=(0.1, 0.0)), "servo": Reach(start=(0.3,), target=(-0.2,))}
 
 
 def machine_with(name):
     """Return the machine with an effect."""
-    plain = BUILTIN_MACHINES["hframe"]()
-    effect = EFFECTS[name]
-    guesses = {p.name: p.scale if p.amplitude else p.grid[0] or p.scale for p in effect.parameters}
-    return plain.with_effects(effect.at(effect_sites(effect, plain)[0], **NUMBERS.get(name, guesses)))
+    preset, case = MACHINES[name]
+    return BUILTIN_MACHINES[preset]().with_effects(case.effect)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_motion_equals_the_simulation(name):
     machine = machine_with(name)
-    env = HFrameEnv(
-        machine=machine, task=Reach(start=(0.02, 0.01), target=(0.1, 0.0)), longest_step=LONGEST_STEP
-    )
-    volts = np.random.default_rng(1).uniform(-12, 12, (15, 2))
-    volts[:REST] = 0.0
-    run = simulate(machine, np.arange(16) * 0.01, np.concatenate([volts, volts[-1:]]), env_start(env))
+    env = HFrameEnv(machine=machine, task=REACH[MACHINES[name][0]], longest_step=LONGEST_STEP)
+    actions = np.random.default_rng(1).uniform(-1, 1, (15, len(machine.drives)))
+    rated = np.array([drive.rated_voltage for drive in machine.drives])
+    actions[:REST] = 0.0
+    commands = np.concatenate([actions, actions[-1:]]) * rated
+    run = simulate(machine, np.arange(16) * 0.01, commands, env_start(env))
     n = len(machine.coordinates)
     expected = np.concatenate([run.positions[-1], run.velocities[-1]]) * np.tile(machine.travel_per_unit, 2)
     for _ in range(2):  # the second episode does not depend on the first
         env.reset(seed=0)
-        for row in volts:
-            observation, *_ = env.step(row / 12)
+        for action in actions:
+            observation, *_ = env.step(action)
         state = env.batch.simulator.state[0, : 2 * n, 0]
         np.testing.assert_allclose(state, expected, rtol=1e-8, atol=1e-11)
-        tool = run.positions[-1][:2].copy()
+        tool = run.positions[-1][: len(env.batch.workspace)].copy()
         if "yaw" in machine.coordinate_names:
             tool[0] += tool[1] * run.positions[-1][machine.coordinate_names.index("yaw")]
         np.testing.assert_allclose(observation["achieved_goal"], tool, rtol=1e-6)
