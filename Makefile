@@ -4,10 +4,10 @@ BIN := $(VENV)/bin
 PYTHON ?= python3
 AUDIT := $(VENV)/audit/bin
 
-.PHONY: demo test check installed audit sbom wheel bench tables docs clean
+.PHONY: demo test slow check installed audit sbom wheel bench tables docs clean
 
-# tools/tasks.py defines these three and the installation, for systems without make as well: python -m tools.tasks --help
-demo test check:
+# tools/tasks.py defines these four and the installation, for systems without make as well: python -m tools.tasks --help
+demo test slow check:
 	$(PYTHON) -m tools.tasks $@
 
 installed:  ## everything in .venv

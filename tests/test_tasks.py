@@ -54,6 +54,9 @@ def test_a_task_installs_first_and_again_only_after_a_change(commands: list[str]
     commands.clear()
     tasks.main(["test"])
     assert len(commands) == 3
+    commands.clear()
+    tasks.main(["slow"])
+    assert commands[-1] == "pytest -m slow --durations=10"
 
 
 def test_a_failed_step_ends_the_task_with_its_exit_code(commands: list[str]) -> None:

@@ -2,7 +2,7 @@
 
 The first task installs the package and its development tools into the folder .venv, with the versions of
 constraints.txt; later ones do so again only if pyproject.toml or constraints.txt has changed. The Makefile's
-targets `demo`, `test` and `check` call these tasks. Only the standard library is needed.
+targets `demo`, `test`, `slow` and `check` call these tasks. Only the standard library is needed.
 """
 
 from __future__ import annotations
@@ -106,6 +106,12 @@ def test() -> None:
     run("pytest", "-n", "auto", "--dist", "worksteal")
 
 
+def slow() -> None:
+    """Run the slow tests, and say how long the longest ones take."""
+    # One after the other: some use all cores, build packages or open browsers themselves.
+    run("pytest", "-m", "slow", "--durations=10")
+
+
 def check() -> None:
     """Check format, lint, docstrings, types, layers, pinned versions and licenses."""
     run("ruff", "format", "--check", ".")
@@ -116,7 +122,13 @@ def check() -> None:
     run("python", "-m", "pip", "check")
 
 
-TASKS: dict[str, Callable[[], None]] = {"install": lambda: None, "demo": demo, "test": test, "check": check}
+TASKS: dict[str, Callable[[], None]] = {
+    "install": lambda: None,
+    "demo": demo,
+    "test": test,
+    "slow": slow,
+    "check": check,
+}
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -14,7 +14,8 @@ from hframe_gym.machine import Belt, Coordinate, Drive, Machine, Sensor
 PAGE = Path(__file__).parents[2] / "docs" / "environment.md"
 
 
-def test_examples_run():
+def test_examples_run(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # videos of an earlier run would be overwritten, with a warning
     namespace = {}
     examples = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
     assert len(examples) == 14
