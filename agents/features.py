@@ -158,9 +158,9 @@ def feature_matrix(
         radii: Belt travel (radius * angle) per radian of each motor coordinate, m/rad, shape (motors,).
         rest: Belt travel of each motor coordinate per meter of each axis with unstretched belts, m/m, shape
             (motors, axes).
-        gains: By key, matrices from entries of the observation to voltages of model-based controllers, which
-            are summed over the keys, shape (voltages, entries of the key); see `feature_parameters`. Default:
-            no such features.
+        gains: By key, matrices from entries of the observation, SI, to voltages of model-based controllers as
+            fractions of the rated ones, which are summed over the keys, shape (voltages, entries of the key);
+            see `feature_parameters`. Default: no such features.
         meters: Length, m, that one unit of the tool position corresponds to: 1 for meters.
 
     Returns:

@@ -78,7 +78,7 @@ class DifferentiableStage(Stage[torch.Tensor]):
             start_time: Time since the machines were switched on, s, for effects that depend on it.
 
         Raises:
-            InputError: As in `Stage.rollout`, or if an argument is no tensor or on another device.
+            InputError: As in `Stage.rollout`, or if an argument is no tensor or not on the device "cpu".
         """
         given = {"start": start, "voltages": voltages, "parameters": parameters, "earlier": earlier}
         for name, tensor in given.items():

@@ -132,6 +132,9 @@ def distances(achieved: Positions, desired: Positions) -> Array:
     Args:
         achieved: Tool positions, m or rad, shape (n, axes).
         desired: Goals, m or rad, shape (n, axes).
+
+    Raises:
+        InputError: If the two differ in shape.
     """
     _check_same_shape(achieved, desired)
     distance, reward = np.empty(len(achieved)), np.empty(len(achieved))
@@ -156,7 +159,7 @@ class BuiltinReward:
     kind = _DENSE
 
     def __call__(self, achieved: Positions, desired: Positions) -> Array:
-        """Compute rewards, shape (n,), of achieved tool and goal positions, m, shape (n, axes) each."""
+        """Compute rewards, shape (n,), of achieved tool and goal positions, m or rad, (n, axes) each."""
         _check_same_shape(achieved, desired)
         distance, reward = np.empty(len(achieved)), np.empty(len(achieved))
         constants = self.kind, self.band, self.meters

@@ -315,7 +315,7 @@ class Dataset:
 
     @property
     def has_voltage_errors(self) -> bool:
-        """Whether the voltages are interpolated between the rows, with errors that residuals include."""
+        """Whether a run's voltages are interpolated between rows, so that residuals contain its errors."""
         return any(run.voltage_errors is not None for run in self.runs)
 
     @property
@@ -382,7 +382,7 @@ class Dataset:
         return tuple(dataclasses.replace(self, runs=(run,)) for run in self.runs)
 
     def measured_values(self, sensor: int) -> tuple[Array, ...]:
-        """Return each run's measurements of a sensor, given its index, minus its zero, m or rad, shapes (m,).
+        """Return each run's measurements of a sensor (its index) minus its zero, in its unit, shapes (m,).
 
         Rows in which the sensor did not measure are left out.
         """

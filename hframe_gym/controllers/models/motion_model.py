@@ -203,7 +203,7 @@ class MotionModel:
 
     @property
     def rigid_part(self) -> Array:
-        """Matrix from states to positions and velocities of the rigid motion, shape (2 axes, 2 n).
+        """Matrix from states to positions and velocities of the rigid motion, shape (2 * axes, 2 n).
 
         The rigid motion is the one with unstretched belts that has the same momentum along each axis;
         vibrations of the belts have none.
@@ -215,14 +215,15 @@ class MotionModel:
         """Linearize the machine, without Coulomb friction, and discretize it with zero-order hold.
 
         Args:
-            goal: Tool position of the linearization, m, shape (axes,).
+            goal: Tool position of the linearization, m of belt travel, shape (axes,).
             period: Control period, s.
-            rigid: Whether belts are rigid; the state is then that of `rigid_part`, with 2 axes in place of 2
-                n entries.
+            rigid: Whether belts are rigid. The state is then `rigid_part` times that of `TravelStates`, so
+                that S = 2 * axes; otherwise S = 2 n.
 
         Returns:
-            System matrix of the state, shape (2 n, 2 n), input matrix of the voltages, (2 n, drives), and of
-            a force on each coordinate, (2 n, n), SI.
+            Matrices of the step from the state, m and m/s, to that of the next period, SI: of the state,
+            shape (S, S); of the voltages, shape (S, drives); of a force on each of the n coordinates,
+            shape (S, n).
         """
         space = linearize(self.machine, self.rigid @ goal / self.machine.travel_per_unit)
         A, B = space.A * self._scale[:, None] / self._scale, space.B * self._scale[:, None]

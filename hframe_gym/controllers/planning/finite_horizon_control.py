@@ -197,8 +197,9 @@ class MinimumEnergyTransfers(TransferDesign):
     ) -> TransferSelection:
         """Select each machine's shortest motion to rest at its goal whose voltages stay within the limits.
 
-        The limits are checked in the first period and in the last 7 periods of a motion. Where no motion
-        stays within them, the longest one is selected, which exceeds them.
+        It is found by bisection, because longer motions need lower voltages; where belts ring, a slightly
+        longer one may be found. The limits are checked in the first period and in the last 7 periods of a
+        motion. Where no motion stays within them, the longest one is selected, which exceeds them.
 
         Args:
             error: State minus goal state.
@@ -210,8 +211,6 @@ class MinimumEnergyTransfers(TransferDesign):
         lowest, highest = limits
         # Indices of numbers of periods, between which the shortest admissible transfer is.
         low, high = at_least - self.shortest, np.full(len(error), self.gains.shape[1] - 1)
-        # Bisection, because a longer transfer needs less voltage. With ringing belts that can fail by a
-        # period; the selected transfer is then slightly longer than the shortest admissible one.
         while np.any(low < high):
             middle = (low + high) // 2
             # Voltages of the k checked periods, (B, k, drives).

@@ -133,9 +133,15 @@ class KernelSource:
     def step_constants(
         self, trace: Trace, equations: Equations, h: Expression
     ) -> Iterator[tuple[str, Expression]]:
-        """Trace the constants of an integration step of length `h`, s.
+        """Trace the constants of an integration step, which depend on parameters and step length only.
 
-        Yield each with the name of its row.
+        Args:
+            trace: Trace to which their computation is added.
+            equations: Equations whose parameters are expressions of this trace.
+            h: Length of the step, s.
+
+        Yields:
+            Name of the constant, a key of `layout.derived` such as "coordinate_0.decay", and its value, SI.
         """
         for i in self._coordinates:
             mass = trace.let("mass", i, equations.mass(i))

@@ -52,7 +52,7 @@ class SignalEquations(BeltEquations):
         Args:
             positions: Position of each coordinate, m or rad, in the machine's order, shape (...) each.
             velocities: Velocity of each coordinate, m/s or rad/s, shape (...) each; needed for sensors of
-                speeds and of tensions.
+                speeds, accelerations and tensions.
             accelerations: Acceleration of each coordinate, m/s^2 or rad/s^2, shape (...) each; needed for
                 sensors of accelerations.
             currents: Current of each drive, A, shape (...) each; needed for sensors of currents.

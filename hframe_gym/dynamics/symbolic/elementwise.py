@@ -152,7 +152,7 @@ def rint(x: Any) -> Any:
 
 
 def floor(x: Any) -> Any:
-    """Return the largest integer that does not exceed x: a float, but an int for an int with NumPy >= 2.1."""
+    """Return the largest integer that does not exceed x: a float; since NumPy 2.1, an int if x is one."""
     return _apply("floor", x)
 
 

@@ -197,9 +197,10 @@ class Trace:
         return self._nodes[key]
 
     def expression(self, value: Any) -> Expression:
-        """Convert a finite number to an expression of the generated function.
+        """Convert a number to an expression of the generated function; return an expression unchanged.
 
-        Return an expression unchanged.
+        Raises:
+            ValueError: If the number is not finite.
         """
         if isinstance(value, Expression):
             return value

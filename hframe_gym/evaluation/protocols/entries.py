@@ -103,7 +103,9 @@ def _combined(entries: Sequence[Entry]) -> Entry:
 
 
 def make_entry(name: str, protocol: Protocol, part: str) -> tuple[Entry, Controller]:
-    """Create a controller or agent by name for a part (task) of a protocol; it controls all draws at once.
+    """Create a controller or agent by name for a part (task) of a protocol, and the entry that describes it.
+
+    The controller controls the machines of all draws at once.
 
     Controllers are designed from the declared machine. If the protocol observes sensors, a controller that
     needs the full state, or an agent that was trained with it, receives the estimates of a `StateEstimator`.
@@ -112,6 +114,9 @@ def make_entry(name: str, protocol: Protocol, part: str) -> tuple[Entry, Control
         name: Controller such as "pid", agent or its folder, model.zip, or folder with one of them for each
             task.
         part: Name of the part, such as "reach".
+
+    Returns:
+        The entry, to which results belong, without `control_us`; and the controller.
 
     Raises:
         InputError: If the name is unknown or the controller cannot run on the task.

@@ -115,7 +115,11 @@ class InputShaperExporter(MachineExporter):
         return notes
 
     def axis_modes(self, machine: Machine) -> list[AxisMode]:
-        """Compute the first mode of each axis of the tool; an InputError if an axis does not vibrate."""
+        """Compute the lowest mode of the carriage along each axis, with held motors, at the position `at`.
+
+        Raises:
+            InputError: If the carriage does not vibrate along an axis.
+        """
         axes = machine.tool_axes
 
         def quantities(variant: Machine) -> Array:

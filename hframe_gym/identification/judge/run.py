@@ -22,13 +22,13 @@ SAME = 0.05
 
 
 def contradicting_run(ratios: Mapping[str, float]) -> str | None:
-    """Return the name of the run that contradicts all others most; None if there is none.
+    """Return the name of the run that contradicts the others most; None if none does, or of fewer than three.
 
-    A run contradicts them if its ratio exceeds `FAR`, 10. There must be at least three runs.
+    A run contradicts the others if its ratio exceeds `FAR`, 10.
 
     Args:
-        ratios: By name of a run, its chi-squared per sample / that of the other runs, both for parameters
-            that are fitted to the other runs.
+        ratios: Chi-squared per sample of each run divided by that of the other runs, dimensionless, by name
+            of the run. The parameters are fitted to the other runs only.
     """
     if len(ratios) < MIN_RUNS_COMPARED:
         return None

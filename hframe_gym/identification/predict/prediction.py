@@ -96,10 +96,10 @@ def _pool(process: int, count: int) -> ThreadPoolExecutor:
 def sensor_bandwidths(machine: Machine, bandwidth: float) -> Array:
     """Return the observer bandwidth of every sensor: how fast its measurements correct a prediction.
 
-    If the machine has encoders, the bandwidth of its lasers is 5/12 of theirs, because lasers are noisier and
-    only need to correct what encoders cannot measure. A sensor of a speed corrects, with half the bandwidth,
-    the velocity of a coordinate whose position is not measured. All other sensors correct nothing, their
-    errors only count: their bandwidth is 0.
+    If the machine has encoders, the bandwidth of its other sensors of positions (lasers) is 5/12 of theirs,
+    because lasers are noisier and only need to correct what encoders cannot measure. A sensor of a speed
+    corrects, with half the bandwidth, the velocity of a coordinate whose position is not measured. All other
+    sensors correct nothing, their errors only count: their bandwidth is 0.
 
     Args:
         bandwidth: Observer bandwidth of the encoders, or of all sensors if there are no encoders, rad/s.
@@ -189,19 +189,19 @@ def observer_gains(machine: Machine, period: float, bandwidth: float = SEARCH_BA
     """Return the gains of the Luenberger observer that feeds measurements back into a prediction.
 
     Each sensor of a position corrects its coordinate by an observer of second order with two equal poles at
-    the bandwidth; each sensor of a speed corrects the velocity, with one pole. What is behind the teeth of a
-    gear moves with it, and coordinates that no sensor corrects follow so that no belt is stretched.
+    its bandwidth (`sensor_bandwidths`); a sensor of a speed corrects the velocity of a coordinate whose
+    position is not measured, with one pole. A coordinate behind a contact, such as the teeth of a gear, gets
+    the corrections of the one before it. Those that nothing corrects follow so that no belt is stretched.
 
     Args:
         machine: Machine whose sensors are fed back.
         period: Sampling period, s.
-        bandwidth: Observer bandwidth of the encoders, rad/s. Lasers have 5/12 of it, or the same bandwidth if
-            there are no encoders.
+        bandwidth: Observer bandwidth of the encoders, rad/s; from it follow those of the other sensors.
 
     Returns:
         Corrections at each sample per unit of a sensor's measured minus predicted value: of the positions
         (first half of the rows), m or rad, and of the velocities (second half), m/s or rad/s,
-        shape (2 * coordinates, sensors); 0 for a sensor that corrects nothing (`sensor_bandwidths`).
+        shape (2 * coordinates, sensors); 0 for a sensor that corrects nothing.
     """
     count = len(machine.coordinates)
     gains = np.zeros((2 * count, len(machine.sensors)))

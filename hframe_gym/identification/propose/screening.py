@@ -406,7 +406,7 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[Sco
         data: Runs that were fitted.
 
     Returns:
-        The candidates in the order of `Screening.ranked`.
+        The candidates in the order of decreasing reduction, see `Screening.ranked`.
     """
     return Screening.of(fit, candidates, data).ranked() if candidates else []
 

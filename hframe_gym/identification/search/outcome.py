@@ -92,10 +92,13 @@ def with_removed(
 
 
 def without_names(outcome: SearchOutcome, reason: str) -> SearchOutcome:
-    """Return an outcome in which all effects are moved to the considered (rejected) ones.
+    """Return an outcome that names no effect: all are moved to the considered (rejected) ones.
 
     Args:
-        reason: Why the effects are not named, a clause.
+        reason: Why the effects are not named, a clause that follows "it is not named: ".
+
+    Returns:
+        Outcome with the fit of the refitted machine, without effects, and the verdict that follows.
     """
     entries = (
         ConsideredEffect(s.effect, outcome.after.machine, outcome.before.machine, f"is not named: {reason}")

@@ -18,9 +18,9 @@ class MotionWindows(NamedTuple):
     """Measured motion and inputs of one run, averaged over windows.
 
     Attributes:
-        position: Mean measurements, m or rad, NaN where not measured, shape (rows, sensors).
-        velocity: Velocities of the measured quantities, m/s or rad/s, shape (rows, sensors).
-        acceleration: Accelerations of the measured quantities, m/s^2 or rad/s^2, shape (rows, sensors).
+        position: Mean measurements, in the sensors' units, NaN where not measured, shape (rows, sensors).
+        velocity: Their first derivatives, in these units per s, shape (rows, sensors).
+        acceleration: Their second derivatives, in these units per s^2, shape (rows, sensors).
         inputs: Means of the inputs with the same weights as the accelerations, V, shape (rows, drives).
     """
 
@@ -40,8 +40,7 @@ def motion_windows(run: PreparedRecording, span: float) -> MotionWindows:
         span: Length of a window, s.
 
     Returns:
-        Means and derivatives, m or rad, shape (rows, sensors), with two rows per window; no rows for a run
-        that is shorter than three windows.
+        Means and derivatives, with two rows per window; no rows for a run that is shorter than three windows.
     """
     time_s = run.time_s - run.time_s[0]
     grid = np.arange(span / 2, time_s[-1] - span / 2, span / _OVERLAP)

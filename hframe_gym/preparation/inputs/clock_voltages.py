@@ -110,10 +110,13 @@ def updated_inputs_of_clock(
 ) -> Array:
     """Interpolate inputs to the times at which a controller with a jittering clock changes them.
 
+    Inputs are corrected before the interpolation (`with_clock_voltages`). The controller's answer to the
+    jitter of a row is not interpolated: it acts from this row until the next change only.
+
     Args:
         inputs: Inputs in the rows, V, shape (..., n, drives).
-        clock: Changes of the inputs by the jitter; None without jitter.
-        updates: Changes of the inputs from one row to the next.
+        clock: What the jitter adds to the inputs of these rows; None without jitter.
+        updates: How often the inputs change from one row to the next, at least once.
         interpolation: "akima" (piecewise cubic), "straight" (lines) or "spline" (cubic).
 
     Returns:
@@ -130,13 +133,14 @@ def updated_inputs_of_clock(
 def with_clock_voltages(inputs: Array, voltages: ClockVoltages, time_s: Times, updates: int) -> Array:
     """Correct the rows' voltages for the jitter of the controller's clock, before interpolation.
 
-    The answers to the jitter of the rows are removed. Each of the n changes per row adds its impulse. With
-    the answer of the row, the times from its stamp to the next one already contain 1 / n of one impulse.
+    The answers to the jitter of the rows are removed. Each of the `updates` changes per row adds its impulse,
+    divided by the time between rows. The answer of a row, which acts from its late or early stamp on, already
+    contains 1 / `updates` of one impulse.
 
     Args:
         inputs: Voltages in the rows, V, shape (..., n, drives).
-        voltages: Changes by the jitter, for the same rows.
-        updates: Number of voltage changes per row; with 1, no correction is needed.
+        voltages: What the jitter adds to the voltages of these rows.
+        updates: How often the voltages change from one row to the next; with 1, no correction is needed.
 
     Returns:
         Voltages, V, shape (..., n, drives).

@@ -29,7 +29,7 @@ def update_times(time_s: Times, updates: int) -> Array:
     """Return the times at which a controller changes the voltages.
 
     Args:
-        updates: Changes of the voltages from one row to the next.
+        updates: How often the voltages change from one row to the next, at least once.
 
     Returns:
         The times of the rows and, between two of them, `updates` - 1 times in equal steps, s,
@@ -47,7 +47,7 @@ def updated_inputs(
 
     Args:
         inputs: Inputs in the rows, V, shape (..., n, drives).
-        updates: Changes of the inputs from one row to the next.
+        updates: How often the inputs change from one row to the next, at least once.
         interpolation: "akima" (piecewise cubic), "straight" (lines) or "spline" (cubic).
 
     Returns:
@@ -63,7 +63,7 @@ def mean_inputs(inputs: Array, updates: int, parts: int) -> Array:
     Args:
         inputs: Inputs at `update_times`, each held until the next, V, shape (..., (n - 1) * `updates` + 1,
             drives).
-        updates: Changes of the inputs from one row to the next.
+        updates: How often the inputs change from one row to the next, at least once.
         parts: Number of parts from one row to the next.
 
     Returns:

@@ -21,10 +21,14 @@ _STEADY_SPEED = 10.0
 
 
 def moving_runs(recordings: Sequence[Recording]) -> tuple[str, ...]:
-    """Find the runs in which at least one sensor moves beyond its noise and 1 % of its largest span.
+    """Find the runs in which at least one sensor moves by more than 1 % of its largest span in all runs.
 
-    A span is the difference between the 99th and the 1st percentile of the measurements, so that single wrong
-    samples and the first steps of a motor that hardly turns do not count.
+    The span of a run is the difference between the 99th and the 1st percentile of its measurements, so that
+    single wrong samples and the first steps of a motor that hardly turns do not count. The part that noise
+    explains is subtracted (of the squares); what is left must be more than half of the span.
+
+    Args:
+        recordings: At least one run.
 
     Returns:
         Names of these runs.

@@ -23,14 +23,14 @@ def sensor_quantum(channel: Sequence[Array], resolution: float) -> float:
     """Estimate the quantization step (quantum) of a sensor from all runs.
 
     Args:
-        channel: Measurements of the sensor by run, m or rad, each of shape (n,), NaN where not measured.
-        resolution: Declared resolution, m or rad, 0 if there is none.
+        channel: Measurements of the sensor by run, in its unit, each of shape (n,), NaN where not measured.
+        resolution: Declared resolution, in its unit, 0 if there is none.
 
     Returns:
-        Median of the quanta of single runs, m or rad. A run without a recognizable quantum, such as one with
-        hardly any motion, does not count. If no run has one, the declared resolution, or a coarser step of
-        which the values of all rows are multiples: in fast motion, hardly any rows that follow each other
-        differ by one step.
+        Median of the quanta of single runs, in the sensor's unit. A run without a recognizable quantum, such
+        as one with hardly any motion, does not count. If no run has one, the declared resolution, or a
+        coarser step of which the values of all rows are multiples: in fast motion, hardly any rows that
+        follow each other differ by one step.
     """
     quanta = [quantum for quantum in map(quantum_of, channel) if quantum > 0.0]
     if not quanta and resolution:
@@ -42,12 +42,12 @@ def noise_at_rest(channel: Sequence[Array], resting_rows: Sequence[int]) -> floa
     """Estimate the standard deviation of a sensor's noise from the rows at rest of all runs.
 
     Args:
-        channel: Measurements of the sensor by run, m or rad, each of shape (n,), NaN where not measured.
+        channel: Measurements of the sensor by run, in its unit, each of shape (n,), NaN where not measured.
         resting_rows: Number of rows at rest at the beginning of each run.
 
     Returns:
-        Standard deviation around a parabola in each run, m or rad. Runs with fewer than 10 measurements at
-        rest do not count. None if the others have too few (about 30 in total).
+        Standard deviation of the measurements around one parabola per run, in the sensor's unit. Runs with
+        fewer than 10 measurements at rest do not count. None if the others have too few (about 30 in total).
     """
     squares, rows = 0.0, 0
     for values, count in zip(channel, resting_rows, strict=True):
@@ -75,13 +75,13 @@ def sensor_noise(
     are smaller. The result is at least the rounding error, quantum / sqrt(12).
 
     Args:
-        channel: Measurements of the sensor by run, m or rad, each of shape (n,), NaN where not measured.
+        channel: Measurements of the sensor by run, in its unit, each of shape (n,), NaN where not measured.
         resting_rows: Number of rows at rest at the beginning of each run.
-        quantum: Quantization step of the sensor, m or rad; 0 if there is none.
-        declared: Declared standard deviation, m or rad; 0 where none is declared.
+        quantum: Quantization step of the sensor, in its unit; 0 if there is none.
+        declared: Declared standard deviation, in its unit; 0 where none is declared.
 
     Returns:
-        Standard deviation, m or rad.
+        Standard deviation, in the sensor's unit.
     """
     rounding, at_rest = quantum / np.sqrt(12), noise_at_rest(channel, resting_rows)
     # An estimate of zero (a channel without any noise) is replaced by the declared value or by the
@@ -100,10 +100,10 @@ def difference_noise(channel: Sequence[Array]) -> float:
     """Estimate a sensor's noise from third differences, which motion hardly changes (von Neumann 1941).
 
     Args:
-        channel: Measurements of the sensor by run, m or rad, each of shape (n,), NaN where not measured.
+        channel: Measurements of the sensor by run, in its unit, each of shape (n,), NaN where not measured.
 
     Returns:
-        Standard deviation, m or rad, at least 1e-12. If no run has four measurements, 1.
+        Standard deviation, in the sensor's unit, at least 1e-12. If no run has four measurements, 1.
     """
     measured = [values[np.isfinite(values)] for values in channel]
     if all(len(values) <= 3 for values in measured):
@@ -119,18 +119,18 @@ def scatter_noise(values: Array, quantum: float) -> float:
     they are smaller.
 
     Args:
-        values: Measurements, m or rad, shape (n,), NaN where not measured.
-        quantum: Quantization step of the sensor, m or rad; 0 if there is none.
+        values: Measurements, in the sensor's unit, shape (n,), NaN where not measured.
+        quantum: Quantization step of the sensor, in its unit; 0 if there is none.
 
     Returns:
-        Standard deviation, m or rad.
+        Standard deviation, in the sensor's unit.
     """
     by_differences = difference_noise([values])
     return min(by_differences, _curve_noise([values])) if quantum > 0.0 else by_differences
 
 
 def _kink_noise(channel: Sequence[Array]) -> float:
-    """Estimate the noise, m or rad, of a measurement that consists of straight lines; 0 for any other.
+    """Estimate the noise of a measurement that consists of straight lines, in its unit; 0 for any other.
 
     A logger that averages over some pulses or interpolates writes such lines. Most of their third differences
     vanish, and the median of all would say that there is no noise: the errors are in the kinks.
@@ -146,7 +146,7 @@ def _kink_noise(channel: Sequence[Array]) -> float:
 
 
 def _curve_noise(channel: Sequence[Array]) -> float:
-    """Estimate a sensor's noise, m or rad, from deviations from parabolas over 21 rows; infinite if fewer."""
+    """Estimate a sensor's noise from deviations from parabolas over 21 rows; infinite if there are fewer."""
     runs = [values[np.isfinite(values)] for values in channel]
     deviations = [v - savgol_filter(v, _CURVE_ROWS, 2) for v in runs if len(v) >= _CURVE_ROWS]
     if not deviations:

@@ -68,7 +68,7 @@ def initial_velocity(
     that row causes.
 
     Args:
-        recording: The run (times, s; voltages, V; measurements, m or rad, NaN where not measured).
+        recording: The run (times, s; voltages, V; measurements, in their units, NaN where there is none).
         rigid: Rigid motions, one per column: displacements of the coordinates, m or rad,
             shape (coordinates, motions).
         position: Position at the first row, m or rad, shape (coordinates,). Forces may depend on it (cogging,

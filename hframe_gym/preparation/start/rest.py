@@ -74,7 +74,7 @@ def initial_rest(recording: Recording, machine: Machine) -> InitialRest:
     of the coordinate.
 
     Args:
-        recording: The run (times, s; voltages, V; measurements, m or rad, NaN where not measured).
+        recording: The run (times, s; voltages, V; measurements, in their units, NaN where there is none).
 
     Returns:
         First row at rest, number of rows from the beginning of the run to the end of the rest, the sensors
@@ -204,13 +204,13 @@ def measurement_noise(values: Array, run_values: Array, sensor: Sensor) -> float
     """Estimate the noise of a sensor: the largest of measured scatter, declared noise and rounding error.
 
     Args:
-        values: Measurements whose scatter counts, m or rad, NaN where there is none, shape (rows,).
-        run_values: All measurements in the run, m or rad, shape (n,), for the quantization step and its
-            rounding error.
+        values: Measurements whose scatter counts, in the sensor's unit, NaN if missing, shape (rows,).
+        run_values: All measurements in the run, in the sensor's unit, shape (n,), for the quantization step
+            and its rounding error.
         sensor: The sensor with its declared noise and resolution.
 
     Returns:
-        Standard deviation of the noise, m or rad.
+        Standard deviation of the noise, in the sensor's unit.
     """
     quantum = sensor_quantum([run_values], sensor.resolution)
     # A position passes through its steps, where a speed stays between two of them.

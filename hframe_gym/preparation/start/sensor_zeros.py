@@ -28,7 +28,7 @@ def sensor_zero_error(
     rest, which has the noise of one measurement.
 
     Args:
-        error: Measured minus predicted values over n samples, m or rad, 0 if not measured,
+        error: Measured minus predicted values over n samples, in the sensors' units, 0 if not measured,
             shape (batch, n, sensors).
         weights: Weights of the measurements in the means, dimensionless, 0 where not measured,
             shape (n, sensors).
@@ -70,37 +70,41 @@ def zeros_from_means(
     return np.asarray(at_rest + np.clip(of_run - at_rest, -max_mean, max_mean))
 
 
-def max_zero_means(behind: NDArray[np.bool_], quanta: Quanta) -> Array:
+def max_zero_means(free: NDArray[np.bool_], quanta: Quanta) -> Array:
     """Return by how much the zero of each sensor may differ from its estimate by the rows at rest.
 
     The rows at rest determine a zero only to within the quantization. They do not determine that of an
-    encoder behind belts, because friction holds an unknown stretch of the belts at rest. Up to these limits,
-    `sensor_zero_error` counts the mean prediction error over a run as an error of the zero.
+    encoder behind belts, because friction holds an unknown stretch of the belts at rest, nor the offset of a
+    sensor such as an accelerometer. Up to these limits, `sensor_zero_error` counts the mean prediction error
+    over a run as an error of the zero.
 
     Args:
-        behind: True for encoders on pulleys, which elastic belts separate from the tool, shape (sensors,).
+        free: True for sensors whose zero the rows at rest do not determine, as from `free_zeros`,
+            shape (sensors,).
 
     Returns:
-        Limits, in the sensors' units, shape (sensors,): infinite behind belts, otherwise half a quantization
+        Limits, in the sensors' units, shape (sensors,): infinite where `free`, otherwise half a quantization
         step.
     """
-    return np.where(behind, np.inf, quanta / 2)
+    return np.where(free, np.inf, quanta / 2)
 
 
 def max_reported_zero_means(machine: Machine, initial: InitialState, quanta: Quanta) -> Array:
-    """Return by how much a sensor's zero may differ from its estimate at rest in a reported error.
+    """Return by how much the zero of each sensor may differ, in a report, from its estimate at rest.
 
-    A search compares machines without a limit for encoders behind belts, see `max_zero_means`. In a reported
-    error, the zero accounts only for the stretch of the belts that is possible at the start. The rest of a
-    mean error over the run is an error of the model.
+    The limits replace those of `max_zero_means`, by which a search compares machines and which are infinite
+    for encoders behind belts. In a report, the zero of such an encoder accounts only for the stretch of the
+    belts that is possible at the start: the rest of the mean error over the run is an error of the model.
 
     Args:
         machine: Machine whose error is reported.
+        initial: Initial state of the run.
 
     Returns:
-        Limits, in the sensors' units, shape (sensors,): half a quantization step; behind belts, what
-        `zero_tolerance` permits, and for a run that begins in motion four times the stretch that the drives
-        typically cause.
+        Limits, in the sensors' units, shape (sensors,). For an encoder behind belts, what `zero_tolerance`
+        permits; in a run that begins in motion, four times the stretch that the drives typically cause is
+        added. Infinite for sensors with an offset, such as accelerometers; otherwise half a quantization
+        step.
     """
     behind = behind_belts(machine)
     limits = max_zero_means(free_zeros(machine) & ~behind, quanta)

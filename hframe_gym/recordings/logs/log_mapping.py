@@ -96,15 +96,16 @@ def map_columns(log: Log, machine: Machine, options: MappingOptions) -> list[Cha
 
     Returns:
         Sources (column and conversion of units): first those of the times, then one per channel of the
-        machine, inputs before outputs. `time` of each channel is the column of time of the same length
-        (MATLAB) or, in a table, the nearest one to its left. `column` is None for an output (sensor) that was
-        not measured: the options assign "none" to it (`--map NAME=none`), or no column has its name and only
-        columns of text remain unassigned.
+        machine: inputs, supply voltages, outputs (sensors). The `time` of a channel is the column of time of
+        the same length (MATLAB) or, in a table, the nearest one to its left. The `column` of an output that
+        was not measured is None. The options say so (`--map NAME=none`); without them, an output counts as
+        not measured if no column has its name and all columns but those of text are assigned.
 
     Raises:
-        InputError: If no column has the name of an output while columns other than text are unassigned; if an
-            input or the time has no column; if a channel has several; if a unit is unknown. The message
-            proposes options.
+        InputError: If the time, an input or a supply voltage has no column; if an output has none and may
+            have been measured; if several columns may be the same channel, or one is assigned to two outputs;
+            if an option names no channel or no column; if a unit is unknown; or if a drive with back-EMF has
+            a current or torque as its input. The message proposes options.
     """
     return _LogMapping(log, machine, options).sources()
 

@@ -44,8 +44,9 @@ def detect_header(
 ) -> tuple[list[str], list[str], list[str]]:
     """Find the names and units of columns above the data of a table, and deviations from a plain header.
 
-    Names and units are in the last two lines above the data, in either order; if the last line that is no
-    comment does not fit, they are in comments.
+    A line may hold names or units if its number of cells is one of `widths`. The last line above the data
+    that is no comment is one of the two if it fits; otherwise, the nearest of the last three comments that
+    fits. The other one is beside it, in either order.
 
     Args:
         lines: First lines of the file.
@@ -55,8 +56,8 @@ def detect_header(
         separator: Character between cells; a blank means one or more blanks.
 
     Returns:
-        Names, "#1", "#2", ... without a header; units in the order of the names, "" where there is none; and
-        how the file deviates from a plain header in its first line, in words.
+        Names, or "#1", "#2", ... if there are none; units in the order of the names, "" where none is stated;
+        and how the lines deviate from a single header in the first line of the file, in words.
     """
     deviations = ["its first line is sep="] if lines[0].lower().startswith("sep=") else []
     above = []

@@ -62,7 +62,7 @@ def with_motor_values(machine: Machine, drive: Drive, options: MachineOptions) -
 
 
 def shaft_inertias(machine: Machine) -> Array:
-    """Return the inertia that each motor shaft moves, with locked other drives, kg m^2, shape (drives,)."""
+    """Return the inertia that each motor shaft moves if the others are locked, kg m^2, shape (drives,)."""
     per_axis = rest_positions_per_axis(machine)  # (coordinates, axes)
     of_drives = per_axis[[machine.coordinate_names.index(d.coordinate) for d in machine.drives]]
     axes = np.linalg.inv(of_drives)  # travel of each axis per position of each drive
