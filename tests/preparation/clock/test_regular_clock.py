@@ -9,7 +9,7 @@ import pytest
 
 from hframe_gym.arrays import Array
 from hframe_gym.machine import BUILTIN_MACHINES
-from hframe_gym.preparation.clock.regular_clock import with_regular_clock
+from hframe_gym.preparation.clock.regular_clock import stamp_quantum, with_regular_clock
 from hframe_gym.preparation.usable import usable_run
 from hframe_gym.recordings import Recording
 
@@ -55,6 +55,49 @@ def test_a_row_that_is_missing_among_steps_of_a_millisecond_leaves_its_gap() -> 
     kept = np.delete(np.arange(ROWS), [100, 250, 400])
     run = Recording("run", sampled.time_s[kept], sampled.inputs[kept], sampled.outputs[kept])
     assert with_regular_clock(run, AXIS)[0].time_s == pytest.approx(run.time_s, abs=1e-6)
+
+
+@pytest.mark.parametrize("rate", [333.0, 334.0, 249.8, 124.9])  # Hz
+@pytest.mark.parametrize("still", [False, True])
+def test_rounded_stamps_of_a_period_near_whole_milliseconds_become_equal_steps(
+    rate: float, still: bool
+) -> None:
+    """One step in hundreds differs, which fifth differences of fast motion do not show."""
+    sampled = moving(np.arange(1500) / rate)
+    stamped = dataclasses.replace(sampled, time_s=1e-3 * np.rint(1e3 * sampled.time_s))
+    if still:
+        stamped = dataclasses.replace(stamped, outputs=np.zeros_like(stamped.outputs))
+    regular, jitter_s = with_regular_clock(stamped, AXIS)
+    assert np.diff(regular.time_s) == pytest.approx(1.0 / rate, rel=1e-3)
+    assert np.ptp(regular.time_s - sampled.time_s) < 0.4e-3  # the stamps: 1 ms
+    assert jitter_s == pytest.approx(1e-3 / np.sqrt(12.0), rel=0.1)
+
+
+def test_a_cycle_that_a_controller_skipped_is_no_rounding() -> None:
+    """The stamps scatter around equal steps as rounded ones do, but the motion follows the stamps."""
+    steps = np.full(ROWS, 4e-3)
+    steps[[150, 450]] = 5e-3
+    run = moving(np.round(np.cumsum(steps), 3))
+    assert with_regular_clock(run, AXIS) == (run, 0.0)
+
+
+def test_samples_that_scatter_more_than_their_stamps_are_rounded_keep_their_stamps() -> None:
+    late = np.random.default_rng(2).uniform(-0.5e-3, 0.5e-3, ROWS)
+    sampled = moving(3.0005e-3 * np.arange(ROWS) + late)
+    stamped = dataclasses.replace(sampled, time_s=np.round(sampled.time_s, 4))
+    assert with_regular_clock(stamped, AXIS) == (stamped, 0.0)
+
+
+@pytest.mark.parametrize("digits", [3, 4, 6])
+def test_the_rounding_of_stamps_is_found_in_decimals_of_any_number(digits: int) -> None:
+    times = 1234.5 + 3.3337e-3 * np.arange(ROWS)
+    assert stamp_quantum(np.round(times, digits)) == pytest.approx(10.0**-digits, rel=1e-6)
+
+
+def test_equal_steps_and_stamps_in_full_are_not_rounded(late: Array) -> None:
+    assert stamp_quantum(np.round(4e-3 * np.arange(ROWS), 3)) == 0.0
+    assert stamp_quantum(3.003e-3 * np.arange(ROWS)) == 0.0
+    assert stamp_quantum(4e-3 * np.arange(ROWS) + late) == 0.0
 
 
 def test_rows_that_are_missing_leave_whole_steps(late: Array) -> None:
