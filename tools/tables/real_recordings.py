@@ -1,7 +1,8 @@
-"""Tables of docs/real_machines.md from benchmarks/results/real_recordings.json, with rows written by hand.
+"""Tables of docs/real_machines.md and docs/real_recordings.md.
 
-A row has `recording`, `log`, `source`, how to `describe` the machine, the commit that was `measured`, the
-`verdict` (a word, or the list of named effects), the errors of the machines in `unit` (one number for each
+They show the rows of benchmarks/results/real_recordings.json, which are written by hand. A row has
+`recording`, `log`, `source`, how to `describe` the machine, the commit that was `measured`, the `verdict`
+(a word, or the list of named effects), the errors of the machines in `unit` (one number for each
 coordinate, or null), and `cpu_seconds`. It may have a `note`. If the delivered error is larger than that of
 the fit to beat, it has the `cause`.
 """
