@@ -21,7 +21,13 @@ from ..files import files_of, locked_folder, output_batch, output_folder, remove
 from ..line_log import LineLog
 from ..parallel import map_tasks
 from .application import CommandWithChoices, app
-from .identify_steps import check_recordings_before_fit, proposed_formulas, require_several_runs, rig_folders
+from .identify_steps import (
+    check_recordings_before_fit,
+    proposed_formulas,
+    proposed_output,
+    require_several_runs,
+    rig_folders,
+)
 from .messages import INTERNAL_ERROR, describe_failure
 from .options import MachineOption, MaxRowsOption, OutOption, RayOption
 from .output import closed_output_tolerated, console, log, plain_text
@@ -90,7 +96,7 @@ def identify(
     from ..recordings import load_machine
 
     if out.resolve() == runs_dir.resolve():
-        other = Path("out", runs_dir.resolve().name)
+        other = proposed_output(runs_dir)
         raise InputError(f"--out {out}: is the folder of the recordings; give another one, such as {other}")
     declared, rigs = load_machine(machine), rig_folders(runs_dir)
     check_and_identify = partial(_check_and_identify, declared, hold_out or (), force, budget)

@@ -26,6 +26,13 @@ def rig_folders(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.is_dir() and recording_files(path))
 
 
+def proposed_output(recordings: Path) -> Path:
+    """Propose a folder for results: out/NAME, or out/NAME_identified if the recordings are in the first."""
+    name = recordings.resolve().name
+    folder = Path("out", name)
+    return folder if folder.resolve() != recordings.resolve() else Path("out", f"{name}_identified")
+
+
 def require_several_runs(recordings: Sequence[Recording], folder: Path) -> None:
     """Raise an InputError if a folder has only one run; the message says how to cut it into several.
 

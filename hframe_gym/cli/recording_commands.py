@@ -13,6 +13,7 @@ from typer import Argument, Option
 from ..errors import InputError
 from ..operating_system import quoted
 from .application import app
+from .identify_steps import proposed_output
 from .messages import FAULT_FOUND
 from .options import MachineOption, MaxRowsOption, RecordingsArgument, RunFormats
 from .output import console, log
@@ -176,5 +177,5 @@ def check(
             "`hframe identify` stops at faults without --force"
         )
         raise typer.Exit(FAULT_FOUND)
-    words = (str(runs_dir), "--machine", machine, "--out", str(Path("out", runs_dir.name)))
+    words = (str(runs_dir), "--machine", machine, "--out", str(proposed_output(runs_dir)))
     log(f"Next: hframe identify {' '.join(map(quoted, words))}")

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.cli import identify_commands
+from hframe_gym.cli.identify_steps import proposed_output
 from hframe_gym.errors import InputError
 from hframe_gym.identification import simulate_recording
 from hframe_gym.identification.budget import LAST_STAGE_END, Budget
@@ -88,6 +89,16 @@ def test_identify_refuses_a_faulty_recording_before_it_writes(
     )
     assert_refused(hframe_command("identify", tmp_path, "--out", tmp_path), "is the folder of the recordings")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.unit
+def test_a_command_proposes_another_folder_for_results_than_that_of_the_recordings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert proposed_output(Path("rigs/axis")) == Path("out/axis")
+    assert proposed_output(Path("out/axis")) == proposed_output(tmp_path / "out" / "axis") != Path("out/axis")
+    assert proposed_output(Path("rigs/..")) == Path("out", tmp_path.name)
 
 
 def test_a_fault_in_the_data_stops_identify_and_is_the_exit_code_of_check(
