@@ -156,6 +156,19 @@ def test_the_sample_depends_on_the_seed_only(repository: House, monkeypatch: pyt
     assert len({(f.path, f.name) for f in first}) >= 29
 
 
+def test_the_sample_shows_the_docstring_of_the_method_that_one_overrides(tmp_path: Path) -> None:
+    package = tmp_path / "hframe_gym"
+    package.mkdir()
+    (package / "base.py").write_text(
+        "class Base(Generic[T]):\n    def name(self) -> str:\n        '''Return the name.'''\n"
+    )
+    source = "class Part(Base[int]):\n    def name(self) -> str:\n        return ''\n"
+    (package / "part.py").write_text(source)
+    method = ast.parse(source).body[0].body[0]  # type: ignore[attr-defined]
+    function = Function(Path("hframe_gym/part.py"), "Part.name", method)
+    assert describe(function, root=tmp_path).splitlines()[2:] == ["    (of Base)", "    Return the name."]
+
+
 def test_the_sample_shows_the_options_of_a_command(tmp_path: Path) -> None:
     (tmp_path / "app.py").write_text('OutOption = Annotated[Path, typer.Option(help="Folder.")]\n')
     source = (

@@ -14,6 +14,8 @@ from __future__ import annotations
 import ast
 import copy
 import random
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 from tools.command_line import command_line
@@ -73,6 +75,44 @@ def option_helps(function: Function, root: Path = ROOT) -> dict[str, str]:
     return helps
 
 
+@cache
+def _classes(root: Path) -> dict[str, ast.ClassDef]:
+    """Return the classes of the packages by name."""
+    found = {}
+    for folder in ("hframe_gym", "agents"):
+        for path in sorted((root / folder).rglob("*.py")):
+            for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+                if isinstance(node, ast.ClassDef):
+                    found[node.name] = node
+    return found
+
+
+def _bases(name: str, root: Path) -> Iterator[ast.ClassDef]:
+    """Yield the base classes of a class, nearest first, without those of other packages."""
+    classes = _classes(root)
+    for base in classes[name].bases if name in classes else ():
+        plain = base.value if isinstance(base, ast.Subscript) else base
+        base_name = ast.unparse(plain).rpartition(".")[2]
+        if base_name in classes:
+            yield classes[base_name]
+            yield from _bases(base_name, root)
+
+
+def inherited_docstring(function: Function, root: Path = ROOT) -> str:
+    """Return the docstring of the method that a method overrides, with the name of its class; "" without one.
+
+    Args:
+        function: Any function.
+        root: Repository that contains its file.
+    """
+    owner, _, method = function.name.rpartition(".")
+    for base in _bases(owner, root):
+        for node in base.body:
+            if isinstance(node, ast.FunctionDef) and node.name == method and ast.get_docstring(node):
+                return f"(of {base.name})\n{ast.get_docstring(node)}"
+    return ""
+
+
 def describe(function: Function, *, root: Path = ROOT, source: bool = False) -> str:
     """Format a function for the reader.
 
@@ -91,7 +131,7 @@ def describe(function: Function, *, root: Path = ROOT, source: bool = False) -> 
         first = min([node.lineno, *(decorator.lineno for decorator in node.decorator_list)])
         return "\n".join([heading, *lines[first - 1 : node.end_lineno]])
     returns = f" -> {ast.unparse(node.returns)}" if node.returns else ""
-    docstring = ast.get_docstring(node) or "(no docstring)"
+    docstring = ast.get_docstring(node) or inherited_docstring(function, root) or "(no docstring)"
     if options := option_helps(function, root):
         docstring += "\n\nOptions:\n" + "\n".join(f"    {name}: {text}" for name, text in options.items())
     indented = "\n".join(f"    {line}".rstrip() for line in docstring.splitlines())
