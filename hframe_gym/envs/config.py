@@ -84,8 +84,9 @@ class EnvConfig:
             can be less than the negative rewards of a long episode; an agent then learns to end the episode
             early.
         period: Control period, s, from 1 us to 10 s.
-        longest_step: Largest integration step, s, positive; a control period is divided into at most 100 000
-            equal steps.
+        longest_step: Largest integration step, s, positive; stiff belts or teeth, strong dampers and drives
+            that follow a set point may need shorter ones (`dynamics.resolved_step`). A control period is
+            at most 100 000 of them.
 
     Raises:
         InputError: If `ends`, a switch or a number is invalid. The environment checks the other options.

@@ -117,7 +117,7 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
     | `ends` | `"stops"` | `"stops"`, `"terminate"` |
     | `penalty` | 100 | see Rewards |
     | `period` | 0.01 | control period, s |
-    | `longest_step` | 0.0005 | longest step of the integrator, s |
+    | `longest_step` | 0.0005 | longest step of the integrator, s; stiff machines have shorter ones |
     | `render_mode` | `None` | `None`, `"rgb_array"`, `"human"` |
 
     Raises:

@@ -154,3 +154,4 @@ def test_the_integration_step_resolves_a_delay_that_is_no_multiple_of_it(hframe:
 
     assert error_m(0.125e-3) > 2e-6
     assert error_m(resolved_step(delayed, 0.125e-3)) < 0.5e-6
+    assert resolved_step(delayed, 0.125e-3, delays=False) == 0.125e-3

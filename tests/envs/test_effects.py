@@ -5,6 +5,7 @@ import pytest
 
 from hframe_gym.dynamics import simulate
 from hframe_gym.dynamics.simulation import LONGEST_STEP
+from hframe_gym.effects import EFFECTS
 from hframe_gym.envs import HFrameEnv, HFrameVectorEnv, Reach
 from hframe_gym.machine import BUILTIN_MACHINES
 from tests.effects.one_of_each import CASES, ELSEWHERE
@@ -56,6 +57,24 @@ def test_motion_equals_the_simulation(name):
             tool[0] += tool[1] * run.positions[-1][machine.coordinate_names.index("yaw")]
         np.testing.assert_allclose(observation["achieved_goal"], tool, rtol=1e-6)
         np.testing.assert_allclose(env.batch.simulator.tool_positions()[0], tool, rtol=1e-8)
+
+
+def test_stiff_teeth_have_the_steps_that_they_need():
+    """At the default step of 0.5 ms, teeth of 3000 Nm/rad make the motion diverge."""
+    _, case = MACHINES["gear_backlash"]
+    machine = BUILTIN_MACHINES["hframe"]().with_effects(
+        EFFECTS["gear_backlash"].at(case.site, **{**case.parameters, "K": 3000.0})
+    )
+    env = HFrameEnv(machine=machine, task=REACH["hframe"])
+    step = env.batch.simulator.h
+    assert step * machine.highest_frequency <= 0.75
+    actions = np.random.default_rng(1).uniform(-1, 1, (15, 2))
+    commands = 12.0 * np.concatenate([actions, actions[-1:]])
+    exact = simulate(machine, np.arange(16) * 0.01, commands, env_start(env), longest_step=0.1 * step)
+    env.reset(seed=0)
+    for action in actions:
+        env.step(action)
+    np.testing.assert_allclose(env.batch.simulator.tool_positions()[0], exact.positions[-1][:2], atol=5e-6)
 
 
 def env_start(env):

@@ -156,7 +156,7 @@ def belt_modes(machine: Machine) -> list[float]:
     return [float(frequency) for frequency in mode_frequencies(machine) if frequency > 0.0]
 
 
-def resolved_step(machine: Machine, longest_step: float) -> float:
+def resolved_step(machine: Machine, longest_step: float, *, delays: bool = True) -> float:
     """Return an integration step, s, short enough for the fastest vibration, dampers and delays.
 
     Steps that are too long for a stiff belt change the frequency of its vibration, and much longer ones make
@@ -169,14 +169,18 @@ def resolved_step(machine: Machine, longest_step: float) -> float:
     The step is between a hundredth of `longest_step`, s, and `longest_step`. A machine that needs shorter
     steps has a wrong mass or stiffness, and its simulation then ends with an error instead of running out of
     memory.
+
+    Args:
+        longest_step: Step of a machine that needs no shorter one, s.
+        delays: False where voltages change seldom, as between control periods: delays then shorten no step.
     """
-    return max(_resolving_step(machine, longest_step), _SHORTEST_PART * longest_step)
+    delayed = delays and any(effect.definition.delay is not None for effect in machine.effects)
+    usual = longest_step * _STEP_WITH_DELAY if delayed else longest_step
+    return max(_resolving_step(machine, usual), _SHORTEST_PART * longest_step)
 
 
 def _resolving_step(machine: Machine, longest_step: float) -> float:
-    """Return the step of `resolved_step` without its lower limit."""
-    if any(effect.definition.delay is not None for effect in machine.effects):
-        longest_step *= _STEP_WITH_DELAY
+    """Return the step of `resolved_step` without its lower limit, and without delays."""
     rates = [e.definition.fastest(machine, e) for e in machine.effects if e.definition.fastest]
     if machine.drive_laws:
         rates.append(float(np.abs(np.linalg.eigvals(linearize(machine).A)).max()))
