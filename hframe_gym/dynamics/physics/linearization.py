@@ -172,7 +172,8 @@ def resolved_step(machine: Machine, longest_step: float, *, delays: bool = True)
 
     Args:
         longest_step: Step of a machine that needs no shorter one, s.
-        delays: False where voltages change seldom, as between control periods: delays then shorten no step.
+        delays: False if delays shorten no step. Of voltages of 12 V that change every 10 ms and act 2.3 ms
+            later, a step of 0.5 ms makes 20 um of error; 0.2 ms makes 4 um and takes 2.5 times as long.
     """
     delayed = delays and any(effect.definition.delay is not None for effect in machine.effects)
     usual = longest_step * _STEP_WITH_DELAY if delayed else longest_step
