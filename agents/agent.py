@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
+from ..arrays import Actions
 from ..controllers import Controller, UnitCheck
 from ..envs import SensorsLike, action_space, observation_space
 from ..errors import InputError
@@ -151,8 +152,7 @@ class Agent(Controller):
         return UnitCheck(self.machine, self._sensors == "state")
 
     @override
-    def replace_last_action(self, actions: NDArray[np.float64]) -> None:
-        """Replace the stored last action, which the policy may observe next, with the one applied."""
+    def replace_last_action(self, actions: Actions) -> None:
         if self.mapping:
             self.mapping.replace_last_action(actions)
 

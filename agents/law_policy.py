@@ -50,6 +50,12 @@ class LawActor(Actor):
 
     @override
     def action_log_prob(self, obs: Any) -> Any:
+        """Sample outputs for an observation, as the training of SAC needs them.
+
+        Returns:
+            Outputs for drives and laws, shape (batch, drives + laws), and the log-probability of those for
+            the drives alone, shape (batch,).
+        """
         mean, log_std, _ = self.get_action_dist_params(obs)
         explored, log_prob = self.action_dist.log_prob_from_params(mean[:, : self._drives], log_std)
         return self._joined(explored, mean), log_prob

@@ -233,12 +233,15 @@ def check_command() -> list[str]:
 
 
 def identify_command(hold_out: Sequence[str], budget: str, force: bool) -> list[str]:
-    """Return the words of the command that identifies the machine of a session.
+    """Return the command that identifies the machine of a session; it runs in the session's folder.
 
     Args:
         hold_out: Names of held-out runs; empty for the default.
         budget: Processor time, s, as text; empty for the default.
         force: Whether to fit although the runs have faults.
+
+    Returns:
+        Words after "hframe".
     """
     words = ["identify", RUNS, "--machine", MACHINE]
     for name in hold_out:

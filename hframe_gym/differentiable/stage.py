@@ -132,9 +132,15 @@ class Stage(ABC, Generic[Tensor]):
         return self.parameter_names.index(name)
 
     def with_end_stops(self, parameters: Array) -> Array:
-        """Append the parameters of the end stops to `parameters`, SI, shape (B, P), for `motion`.
+        """Append the parameters of the end stops to those of B machines, for `motion`.
 
-        Without end stops, they are returned unchanged.
+        They depend on the masses of each machine.
+
+        Args:
+            parameters: Parameters of the machines, SI, shape (B, P).
+
+        Returns:
+            Both, SI, shape (B, P + number of those of end stops); `parameters` where there are no end stops.
         """
         return self._stops.parameters(parameters) if self._stops else parameters
 

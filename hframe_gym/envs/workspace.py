@@ -46,6 +46,10 @@ def effect_and_belt_limits(machine: Machine, smallest_fraction: float) -> dict[s
     its value at position 0 is the parameter `rest_length`. The lower limit of this parameter is so large that
     the unstretched length is at least `smallest_fraction` (dimensionless) times the machine's present
     `rest_length` everywhere in the workspace.
+
+    Returns:
+        Limits by the parameter's full name, such as "belt1.rest_length"; belts without an upper limit have
+        infinity. Belts whose lengths are tied have one entry, that of the free parameter.
     """
     bounds = {
         f"{e.label}.{p.name}": (p.lower, p.upper) for e in machine.effects for p in e.definition.parameters

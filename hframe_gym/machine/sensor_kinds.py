@@ -49,7 +49,7 @@ class SensorKind:
         squared); "current" is the sum of coefficients times the currents of the drives, A, and "tension" that
         of coefficients times the tensions of the belts beyond their pretension, N. A formula uses the
         operators + - * / and abs. A constant factor belongs in the coefficients, by which initial states and
-        observers divide: they take the slope of the formula for 1. What bends it is better an effect of the
+        observers divide: they assume that the formula has slope 1. What bends it is better an effect of the
         sensor, whose parameters can be identified.
 
         Args:

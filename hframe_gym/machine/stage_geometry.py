@@ -133,7 +133,12 @@ class DialGeometry(StageGeometry):
 
     @override
     def sections(self, x: float, y: float) -> dict[str, list[Point]]:
-        """Return the arm as the only section: a line from the shaft to the tool."""
+        """Return the arm as the only section, "arm": vertices (x, y), m, from the shaft to the tool.
+
+        Args:
+            x: First coordinate of the tool in the drawing, m (a point, not an angle; see `drawn_point`).
+            y: Second coordinate of the tool in the drawing, m.
+        """
         return {"arm": [(0.0, 0.0), (x, y)]}
 
 

@@ -80,9 +80,9 @@ class ArrivalPlanner:
         Call it in every control period before `plan` and `gain`. The prediction covers the longest plan.
 
         Args:
-            matrices: A, B and E of the model, next error = A error + B voltages + E force, in m, s, V and N,
-                of the shapes (B, 2 n, 2 n), (B, 2 n, drives) and (B, 2 n, n); `LinearMotion.matrices`
-                computes them.
+            matrices: A, G and E of the model, next error = A error + G voltages + E force, in m, s, V and N,
+                for B machines with n coordinates, of the shapes (B, 2 n, 2 n), (B, 2 n, drives) and
+                (B, 2 n, n); `LinearMotion.matrices` computes them.
             error: State minus the state at rest at the goal.
             force: Force on each coordinate until the tool arrives, for example friction.
         """

@@ -380,7 +380,8 @@ class ObservationFormat:
     def goal_normalization(self) -> NDArray[np.float32]:
         """Return the centers (row 0) and scales (row 1) that normalize goals, m or rad, shape (2, axes).
 
-        Without the option `normalize`, the scales are 0: goals are then observed in m or rad.
+        A normalized goal is (goal - center) / scale. Without the option `normalize`, the scales are 0: goals
+        are then observed in m or rad.
         """
         center, scale = self._center["desired_goal"], self._scale["desired_goal"]
         return np.stack([center, scale if self.normalize else np.zeros_like(scale)])

@@ -177,6 +177,7 @@ def check_point(label: str, points: Array, workspace: Workspace) -> None:
     """Check that points lie in the workspace; its edge counts as inside.
 
     Args:
+        label: What the points are, such as "goal"; begins the message of the error.
         points: Points, m or rad, shape (axes,) or (k, axes).
 
     Raises:

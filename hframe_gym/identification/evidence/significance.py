@@ -77,7 +77,7 @@ class TestedFit:
 
     @cached_property
     def wide_deviations(self) -> dict[str, float]:
-        """The standard deviations as in `deviations`, but from the fit `wide`."""
+        """Standard deviations of the amplitudes of effects, SI, with the observer of 60 rad/s (`wide`)."""
         return _deviations(self.wide, self.data)
 
     @cached_property

@@ -395,14 +395,14 @@ def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
     """Determine whether, and how often, the voltages change from one row of a log to the next.
 
     Args:
-        fitted: Fit of a machine to the runs with held voltages. Its observer compares them, or the narrowest
-            one for interpolated voltages.
+        fitted: Fit of a machine to the runs with held voltages. All fits of the comparison have its observer,
+            but one of at least 15 rad/s (`NARROWEST_WITH_VOLTAGE_ERRORS`).
         data: The runs.
         criteria: Decision thresholds for the reduction of the error.
 
     Returns:
-        The number of changes, 1 if the voltages are held, with the errors of the fits with held and with
-        changing voltages.
+        The number of changes per row, 1 if the voltages are held, with chi-squared per sample of the fits
+        with held and with changing voltages.
     """
     data = data.with_updates(1)
     held = continue_fit(fitted, data, max(fitted.bandwidth, NARROWEST_WITH_VOLTAGE_ERRORS))

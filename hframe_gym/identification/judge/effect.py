@@ -237,14 +237,17 @@ def doubt_about_candidate(evidence: EffectEvidence, criteria: SelectionCriteria)
     """Return why an effect that the search just added may not exist; "" if nothing speaks against it.
 
     The statistical tests (confirmation by other runs, chance, disagreement of the sensors, interpolation of
-    the voltages) need a machine that nearly explains the data without the effect: while other effects are
-    missing, a fit without one run says little about the machine, and what they leave is correlated in time.
-    `doubt_beside_others` repeats them for every effect. An effect that removes a small fraction of the error,
-    as `enough_gain` permits, must pass them at once.
+    the voltages, equal size with every observer) are made only if the machine without the effect nearly
+    explains the data, or if the effect removes less than `required_gain`; the other tests always. While other
+    effects are missing, a fit without one run says little about the machine, and what they leave is
+    correlated in time. `doubt_beside_others` makes the statistical tests later for every effect.
 
     Args:
         evidence: What the fitted runs say.
         criteria: Decision thresholds.
+
+    Returns:
+        Clause that follows "it ", or "".
     """
     large = is_enough(evidence.without, evidence.with_effect, required_gain(evidence.without, criteria))
     return _doubt(evidence, criteria, statistical=not large or nearly_explains(evidence.without, criteria))

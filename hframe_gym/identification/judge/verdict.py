@@ -300,8 +300,9 @@ def verdict_of_effects(
         explained: Function that returns whether the machine with the effects explains the data.
 
     Returns:
-        Verdict, and the reason why effects are removed (a clause that follows "it ") or "". None if a table
-        may explain the error.
+        With a drift, "unexplained" and the reason why the effects are removed (a clause that follows "it ");
+        `explained` is then not called. If the machine explains the data, "effect_found" or, without effects,
+        "no_effect", and "". Else None: a table may explain the error.
     """
     if drift:
         return "unexplained", less_well_than_by_run(drift)
