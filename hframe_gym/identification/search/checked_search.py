@@ -25,15 +25,18 @@ from ..evidence.held_out import (
     shown_effects,
     worsens_simulation,
 )
+from ..evidence.significance import TestedFit, doubt_beside_others
 from ..evidence.tried_effects import SelectedEffect
 from ..fit.cross_validation import contradicting_run
 from ..fit.estimation import Fit, fit
 from ..fit.lost_voltages import held_over_gaps, with_lost_voltages
+from ..fit.model_error import continue_fit
 from ..fit.plain_fit import PlainFit, better_start, plain_fit
 from ..fit.run_differences import find_run_differences
 from ..fit.start_estimation import refine_dataset
 from ..fit.voltage_updates import VoltageUpdates, can_show_updates, describe_interpolation, voltage_updates
 from ..judge.criteria import SelectionCriteria
+from ..judge.effect import may_be_no_effect
 from ..judge.held_out import refuted_effects
 from ..judge.run import MIN_RUNS_COMPARED, exchange_confirms, exchanges_held_out, run_that_differs_alone
 from ..predict.free_parameters import default_free_parameters
@@ -164,7 +167,7 @@ def find_effects(
     if complete and may_exchange:
         found = exchanged_if_better(found, search.without, log)
     with budget.limiting(delivers=True):
-        outcome = without_unconfirmed(found.outcome, found.judging, log)
+        outcome = without_unconfirmed(found.outcome, found.judging, criteria, log)
     return found._replace(outcome=_with_input_timing(outcome, found.agreeing, criteria, log, budget))
 
 
@@ -377,7 +380,7 @@ class _RunSearch:
             contradiction = outcome.contradiction
             agreeing = all_rows if contradiction is None else _without_run(all_rows, contradiction)
             # Like held-out runs, other rows can only remove effects.
-            outcome = without_unconfirmed(outcome, agreeing, log)
+            outcome = without_unconfirmed(outcome, agreeing, self._criteria, log)
             outcome = fitted_to_all_rows(outcome, start, agreeing, self._criteria, log, self._budget)
         differing = _contradicting_runs(outcome, runs.held_out)
         return CheckedOutcome(outcome, runs.held_out, differing, runs.messages, plain)
@@ -510,16 +513,20 @@ def _hint(found: CheckedOutcome, exchanged: CheckedOutcome) -> str:
     return _HINT.format(effects, ", ".join(found.differing))
 
 
-def without_unconfirmed(outcome: SearchOutcome, held_out: Dataset, log: LineLog) -> SearchOutcome:
+def without_unconfirmed(
+    outcome: SearchOutcome, held_out: Dataset, criteria: SelectionCriteria, log: LineLog
+) -> SearchOutcome:
     """Remove effects that do not reduce the error of the held-out runs, weakest first.
 
     The held-out runs can only remove an effect here, never add or change one. An effect that they do not
     excite is kept: the fitted runs, left out one by one (`leave_one_out_gain`), have confirmed it. If each
     effect reduces their error but all together make their simulation worse than without effects, the weakest
-    is removed as well.
+    is removed as well. After a removal, effects go as well that chance or unknown voltages may explain
+    without the one that is gone.
 
     Args:
         held_out: Held-out runs that may remove effects (`CheckedOutcome.judging`).
+        criteria: Thresholds of the tests by the fitted runs.
         log: Called with a line of text for each effect that is removed.
     """
     before, data = outcome.before, outcome.data
@@ -539,5 +546,28 @@ def without_unconfirmed(outcome: SearchOutcome, held_out: Dataset, log: LineLog)
         weakest, reduced = next(((s, fitted) for s, fitted in fits if fitted is not None), (None, None))
         if weakest is None or reduced is None:
             break
-        outcome = with_removed(outcome, weakest, reduced, reason, log)
+        outcome = _without_doubted(with_removed(outcome, weakest, reduced, reason, log), criteria, log)
+    return outcome
+
+
+def _without_doubted(outcome: SearchOutcome, criteria: SelectionCriteria, log: LineLog) -> SearchOutcome:
+    """Remove effects that chance or unknown voltages may explain without one that has been removed.
+
+    The search selects such effects if another one that hides them makes the difference. What else the tests
+    ask compares an effect with all that remains unexplained, to which a removal adds.
+    """
+    if not outcome.selected:
+        return outcome
+    data, refitted = outcome.data, outcome.before.machine
+    tested = TestedFit(continue_fit(outcome.after, data, outcome.bandwidth), data)
+    for s in sorted(outcome.selected, key=lambda s: s.gain):
+        label = s.effect.label
+        without = without_effect(tested.fitted, label, data, refitted)
+        reduced = without_effect(outcome.after, label, data, refitted)
+        if without is None or reduced is None:  # another effect requires it
+            continue
+        effect = next(e for e in tested.fitted.machine.effects if e.label == label)
+        doubt = doubt_beside_others(without, tested, effect, criteria)
+        if may_be_no_effect(doubt):
+            return _without_doubted(with_removed(outcome, s, reduced, doubt, log), criteria, log)
     return outcome

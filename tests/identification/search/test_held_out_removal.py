@@ -23,8 +23,10 @@ from hframe_gym.identification.evidence.held_out import (
     held_out_gain,
     worsens_simulation,
 )
+from hframe_gym.identification.judge.effect import BY_CHANCE, BY_VOLTAGES
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH, SIMULATION
 from hframe_gym.identification.propose.trial_fits import without_effect
+from hframe_gym.identification.search import checked_search
 from hframe_gym.identification.search.checked_search import (
     CheckedOutcome,
     _contradicting_runs,
@@ -37,6 +39,7 @@ from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording
 
 NOISE = 20e-6  # m
+CRITERIA = SelectionCriteria()
 
 
 def recorded(machine: Machine, seed: int, noise: float = NOISE) -> Recording:
@@ -69,7 +72,7 @@ def test_an_effect_that_held_out_runs_deny_is_removed(
     pushed = axis.with_effects(EFFECTS["constant_force"].at("x", size=0.3))
     data, held_out = prepare([recorded(pushed, 0)], axis), prepare([recorded(axis, 1)], axis)
     before, outcome = outcome_with_force(axis, data, 0.3, before_explains)
-    removed = without_unconfirmed(outcome, held_out, lambda line: None)
+    removed = without_unconfirmed(outcome, held_out, CRITERIA, lambda line: None)
     assert removed.verdict == verdict
     assert removed.selected == ()
     assert removed.after is before
@@ -85,7 +88,7 @@ def test_an_effect_whose_size_is_not_certain_in_the_end_is_removed(
     pushed = axis.with_effects(EFFECTS["constant_force"].at("x", size=hidden))
     data = prepare([recorded(pushed, 0)], axis)
     before, outcome = outcome_with_force(axis, data, 0.01, True)
-    certain = with_certain_effects(outcome, SelectionCriteria(), lambda line: None)
+    certain = with_certain_effects(outcome, CRITERIA, lambda line: None)
     assert bool(certain.selected) == kept
     if kept:
         assert certain is outcome
@@ -108,7 +111,7 @@ def test_inputs_that_act_later_are_no_doubt_about_a_lag(
     after = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
     selected = SelectedEffect(machine.effects[0], 1.0, axis).with_values(after.machine)
     outcome = SearchOutcome(before, False, True, "effect_found", after, (selected,), (), data)
-    certain = with_certain_effects(outcome, SelectionCriteria(), lambda line: None)
+    certain = with_certain_effects(outcome, CRITERIA, lambda line: None)
     assert bool(certain.selected) == kept
 
 
@@ -116,7 +119,7 @@ def test_an_effect_that_held_out_runs_confirm_stays(axis: Machine) -> None:
     pushed = axis.with_effects(EFFECTS["constant_force"].at("x", size=0.3))
     data, held_out = prepare([recorded(pushed, 0)], axis), prepare([recorded(pushed, 1)], axis)
     _, outcome = outcome_with_force(axis, data, 0.3, False)
-    assert without_unconfirmed(outcome, held_out, lambda line: None) == outcome
+    assert without_unconfirmed(outcome, held_out, CRITERIA, lambda line: None) == outcome
 
 
 @pytest.mark.parametrize(("hidden", "contradicting"), [(0.0, ()), (0.9, ("run_1",))])
@@ -142,15 +145,40 @@ def test_a_contradicting_run_of_which_effects_explain_most_may_remove_effects(
     data = prepare([recorded(axis.with_effects(*found), seed) for seed in (0, 2)], axis)
     held_out = prepare([recorded(axis.with_effects(spring, push.at("x", size=-wind)), 1)], axis)
     before = fit(axis, default_free_parameters(axis), data, SIMULATION)
-    after = fit(axis.with_effects(*found), default_free_parameters(axis), data, SIMULATION, iterations=1)
+    machine = axis.with_effects(*found)
+    after = fit(machine, default_free_parameters(machine), data, SIMULATION, iterations=1)
     selected = tuple(SelectedEffect(e, 1.0, axis).with_values(after.machine) for e in after.machine.effects)
     outcome = SearchOutcome(before, False, True, "effect_found", after, selected, (), data)
     checked = CheckedOutcome(outcome, held_out, _contradicting_runs(outcome, held_out))
     assert checked.differing == ("run_1",)
     assert checked.agreeing.runs == ()
     assert [run.name for run in checked.judging.runs] == (["run_1"] if judges else [])
-    kept = without_unconfirmed(outcome, checked.judging, lambda line: None).selected
+    kept = without_unconfirmed(outcome, checked.judging, CRITERIA, lambda line: None).selected
     assert [s.effect.name for s in kept] == [e.name for e in (found[:1] if judges else found)]
+
+
+@pytest.mark.parametrize(
+    ("doubt", "kept"), [(BY_VOLTAGES, False), (BY_CHANCE, False), ("has a force of 0.5 N", True), ("", True)]
+)
+def test_after_a_removal_chance_or_unknown_voltages_may_explain_another_effect(
+    axis: Machine, monkeypatch: pytest.MonkeyPatch, doubt: str, kept: bool
+) -> None:
+    """Only the effect that is gone had told it from them; a larger error alone says nothing about it."""
+    monkeypatch.setattr(checked_search, "doubt_beside_others", lambda *evidence: doubt)
+    push, spring = (
+        EFFECTS["constant_force"].at("x", size=0.3),
+        EFFECTS["cable_spring"].at("x", k=30.0, q0=0.0),
+    )
+    found = axis.with_effects(push, spring)
+    data = prepare([recorded(found, seed) for seed in (0, 2)], axis)
+    held_out = prepare([recorded(axis.with_effects(spring), 1)], axis)
+    before = fit(axis, default_free_parameters(axis), data, SIMULATION)
+    after = fit(found, default_free_parameters(found), data, SIMULATION, iterations=1)
+    selected = tuple(SelectedEffect(e, 1.0, axis).with_values(after.machine) for e in found.effects)
+    outcome = SearchOutcome(before, False, True, "effect_found", after, selected, (), data)
+    removed = without_unconfirmed(outcome, held_out, CRITERIA, lambda line: None)
+    assert [s.effect.name for s in removed.selected] == (["cable_spring"] if kept else [])
+    assert [c.reason for c in removed.considered][1:] == ([] if kept else [doubt])
 
 
 def outcome_with_spurious_friction(axis: Machine) -> tuple[SearchOutcome, Dataset]:
@@ -173,7 +201,7 @@ def test_effects_that_worsen_the_simulation_of_held_out_runs_are_removed(axis: M
     assert held_out_gain(outcome.selected[0], after, held_out, SIMULATION) > 0.5
     assert worsens_simulation(before, after, held_out)
     assert not worsens_simulation(after, before, held_out)
-    removed = without_unconfirmed(outcome, held_out, lambda line: None)
+    removed = without_unconfirmed(outcome, held_out, CRITERIA, lambda line: None)
     assert (removed.verdict, removed.selected) == ("unexplained", ())
     reason = (
         "reduces the error of the held-out runs, but they are simulated worse with it than without effects"
@@ -197,12 +225,12 @@ def test_of_two_refuted_effects_the_one_that_requires_the_other_is_removed_first
     cogged = axis.with_effects(cogging, overtone)
     data, held_out = prepare([recorded(cogged, 0)], axis), prepare([recorded(axis, 1)], axis)
     before = fit(axis, default_free_parameters(axis), data, SIMULATION)
-    after = fit(cogged, default_free_parameters(axis), data, SIMULATION, iterations=1)
+    after = fit(cogged, default_free_parameters(cogged), data, SIMULATION, iterations=1)
     assert without_effect(after, cogging.label, data, before.machine) is None
     selected = tuple(SelectedEffect(e, 1.0, axis).with_values(after.machine) for e in cogged.effects)
     outcome = SearchOutcome(before, True, True, "effect_found", after, selected, (), data)
     lines: list[str] = []
-    removed = without_unconfirmed(outcome, held_out, lines.append)
+    removed = without_unconfirmed(outcome, held_out, CRITERIA, lines.append)
     assert removed.selected == ()
     assert [line.split()[0] for line in lines] == [overtone.label, cogging.label]
 
