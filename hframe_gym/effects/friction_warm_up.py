@@ -23,6 +23,6 @@ EFFECT = Effect(
     coulomb=coulomb,
     parameters=(
         EffectParameter("a", "1", -0.99, 100.0, scale=0.3, role="amplitude"),
-        EffectParameter("tau", "s", 0.01, 1e6, scale=1.0, grid=(3.0, 10.0, 30.0, 100.0, 300.0)),
+        EffectParameter("tau", "s", 0.01, 1e6, scale=1.0, grid=(3.0, 10.0, 30.0, 100.0, 300.0), slope_of="a"),
     ),
 )

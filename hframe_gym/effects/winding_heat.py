@@ -50,6 +50,6 @@ EFFECT = Effect(
     equivalent=("a torque constant that falls with the heat of the motor",),
     parameters=(
         EffectParameter("a", "1/A^2", 0.0, 1e6, scale=0.1, role="amplitude"),
-        EffectParameter("tau", "s", 1e-2, 1e5, scale=1.0, grid=(0.5, 2.0, 8.0, 30.0, 120.0)),
+        EffectParameter("tau", "s", 1e-2, 1e5, scale=1.0, grid=(0.5, 2.0, 8.0, 30.0, 120.0), slope_of="a"),
     ),
 )

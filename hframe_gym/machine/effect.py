@@ -120,6 +120,10 @@ class EffectParameter:
         simpler: Names of effects with fewer parameters, by the value of this parameter, SI, with which this
             effect is the other one: an interpolation error of one period a turn is an eccentric encoder. An
             identification names the simpler one.
+        slope_of: Name of the amplitude that this parameter, a time constant, divides where it is long: the
+            effect is then a change at the constant rate amplitude / time constant, which is no other effect.
+            Shorter recordings determine that rate, and of the time constant only its least value. "" if there
+            is none.
     """
 
     name: str
@@ -133,6 +137,7 @@ class EffectParameter:
     above: str = ""
     named_from: float = -math.inf
     simpler: Mapping[float, str] = field(default_factory=dict, hash=False)
+    slope_of: str = ""
 
     def __post_init__(self) -> None:
         """Refuse an unknown role: a search would not find the parameter."""

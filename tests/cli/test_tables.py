@@ -136,3 +136,11 @@ def test_identified_effects_are_listed_with_their_parameters_and_a_table_by_its_
         "smooth force[time] at x: a table of 1 points",
         "stribeck friction at x: dF = 2.8393 +- 0.00042 N, n = 2",
     ]
+
+
+def test_a_time_constant_without_upper_end_is_listed_with_its_least_value() -> None:
+    tau = {"value": 200.0, "std": 120.0, "unit": "s", "at_least": 91.9}
+    warm_up = effect_entry("friction_warm_up", "machine", parameters={"tau": tau})
+    assert effect_lines(report_with(effects=[warm_up])) == [
+        "friction warm up at machine: tau at least 91.9 s"
+    ]

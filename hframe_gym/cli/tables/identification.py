@@ -73,7 +73,9 @@ def effect_lines(report: Report) -> list[str]:
 
 
 def _parameter_text(name: str, parameter: ParameterValue) -> str:
-    """Return a parameter of report.json with its standard deviation and unit."""
+    """Return a parameter of report.json with its standard deviation, or its least value, and its unit."""
+    if parameter.at_least is not None:
+        return f"{name} at least {parameter.at_least:.3g} {written_unit(parameter.unit)}".rstrip()
     spread = "" if parameter.std is None else f" +- {parameter.std:.2g}"
     return f"{name} = {parameter.value:.5g}{spread} {written_unit(parameter.unit)}".rstrip()
 

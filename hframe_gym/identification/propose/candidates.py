@@ -355,7 +355,7 @@ def coverage(parameter: EffectParameter, scales: Mapping[str, float]) -> tuple[f
     """Return the smallest and largest value of an effect's parameter that the runs can determine.
 
     A period longer than the travel cannot be distinguished from a slope, a speed scale above the highest
-    speed from viscous friction, a time constant longer than the session from a linear change.
+    speed from viscous friction, a time constant longer than the session from a change at a constant rate.
 
     Args:
         scales: Typical sizes at its component, by unit (`TypicalScales`).
@@ -431,9 +431,10 @@ def _bounds(parameter: EffectParameter, value: float, scales: Mapping[str, float
     """Return the bounds between which a fit may change a parameter of this value.
 
     They are those of its definition, without values that the recorded motion cannot distinguish from another
-    effect.
+    effect. A time constant longer than the session, at which the effect is a change at a constant rate and
+    remains itself (`EffectParameter.slope_of`), is only no starting value.
     """
-    least, most = coverage(parameter, scales)
+    least, most = (-np.inf, np.inf) if parameter.slope_of else coverage(parameter, scales)
     lower = max(parameter.lower, least)
     upper = min(parameter.upper, most, parameter.largest * scales.get(parameter.unit, 1.0))
     return min(lower, value), max(upper, value)

@@ -16,7 +16,7 @@ from ..predict.free_parameters import typical_force
 from ..predict.prediction import map_runs, predict
 
 _NO_MOTION = 1e-9  # m or rad, m/s or rad/s, V, A; size where nothing moves or acts, which permits a division
-SESSION = "session"  # key of the duration of all runs together, s, in `TypicalScales.general`
+SESSION = "session"  # key of the time from the first to the last fitted row, s, in `TypicalScales.general`
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class TypicalScales:
             "force", "speed", "position", "viscous", "drag", "stiffness"; with a drive, also "voltage" (V),
             "A" (its current, A), "1/A^2", "1/W".
         general: Sizes of the belts, by key: "m" (extension, m), "N" (force, N), "1/m^2" (1 / extension^2).
-            "session": duration of all runs together, s.
+            "session": time from the beginning of the first fitted run to the end of the last one, s.
     """
 
     by_coordinate: Mapping[str, Mapping[str, float]]
@@ -46,8 +46,8 @@ class TypicalScales:
         Returns:
             Typical size, SI, by key. Of the coordinate: "mass", "force", "speed", "position", "viscous"
             (force / speed), "drag" (force / speed^2), "stiffness" (force / position); with a drive,
-            "voltage", "A" (current), "1/A^2", "1/W". General: "session" (duration of all runs, s); with
-            belts, "m" (extension), "N" (force), "1/m^2".
+            "voltage", "A" (current), "1/A^2", "1/W". General: "session" (time of all fitted runs, s);
+            with belts, "m" (extension), "N" (force), "1/m^2".
         """
         return {**self.general, **self.by_coordinate.get(coordinate, {})}
 
@@ -132,6 +132,7 @@ def typical_scales(current: Fit, data: Dataset) -> TypicalScales:
     positions = np.concatenate([motion.positions[0] for motion in motions])
     velocities = np.concatenate([motion.velocities[0] for motion in motions])
     scales = scales_of_motion(current.machine, positions, velocities, [run.inputs for run in data.runs])
-    # Of all fitted runs on the clock of the rig, which they share.
+    # Runs share the clock of the rig. Those to which nothing is fitted, such as held-out ones, do not extend
+    # it: they say nothing of a parameter.
     session = max(float(run.time_s[-1]) for run in data.runs) - min(float(run.time_s[0]) for run in data.runs)
     return dataclasses.replace(scales, general={**scales.general, SESSION: session})

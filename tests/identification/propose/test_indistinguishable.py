@@ -123,6 +123,29 @@ def test_a_shape_at_the_limit_of_what_the_runs_cover_is_doubted(part: float, dou
     assert ("at the limit of what the runs cover" in reason) == doubted
 
 
+@pytest.mark.parametrize(("name", "site"), [("friction_warm_up", "machine"), ("winding_heat", "motor")])
+def test_a_change_slower_than_the_session_keeps_its_name(name: str, site: str) -> None:
+    """A long time constant is no simpler effect: it starts within the session, and a fit may pass its end."""
+    data = sines([[1.0], [0.4]])
+    fitted = fit(AXIS, default_free_parameters(AXIS), data, 60.0)
+    scales = typical_scales(fitted, data)
+    session = scales.general["session"]
+    effect = EFFECTS[name].at(site, a=0.1, tau=session)
+    machine: Machine = AXIS.with_effects(effect)
+    free = effect_parameters(effect, machine, scales)
+    assert free[1].upper == effect.definition.parameter("tau").upper > session
+    complete = fit(machine, free, data, 60.0, iterations=0)
+    assert parameter_at_limit(parameter_values(effect.label, complete)) == ""
+    missing = {"x": np.zeros((rows_of(data), 3))}
+    starts = [
+        c.columns[0]["tau"]
+        for c in candidates(SearchState(AXIS, data, scales, missing, slow=True))
+        if c.effect.name == name
+    ]
+    assert starts
+    assert max(starts) <= 1.01 * session
+
+
 @pytest.mark.parametrize(
     ("name", "site", "parameter"), [("cable_spring", "x", "q0"), ("voltage_offset", "motor", "V0")]
 )

@@ -123,11 +123,17 @@ class Plain(Evaluation):
 
 
 class ParameterValue(ReportPart):
-    """Value and standard deviation of an effect's parameter, in its unit."""
+    """Value and standard deviation of an effect's parameter, in its unit.
+
+    Attributes:
+        at_least: Lower end of the 95 % interval of a time constant, where the runs are too short to show the
+            upper one.
+    """
 
     value: FiniteFloat
     std: FiniteFloat | None
     unit: str
+    at_least: FiniteFloat | None = None
 
 
 class Effect(ReportPart):

@@ -21,6 +21,7 @@ from ...validate.simpler_machines import PlainResult
 from ..diagnostics.experiment_design import FILE, ExperimentDesign
 from ..diagnostics.inseparable_parameters import inseparable_parameters
 from ..diagnostics.parameter_diagnostics import parameters_at_limit, undeclared_friction
+from ..diagnostics.slow_changes import slow_change
 from . import document
 
 
@@ -170,6 +171,12 @@ class IdentificationResult:
         return tuple(parameters_at_limit(self.after.machine, self.declared.machine).values())
 
     @property
+    def slow_changes(self) -> tuple[str, ...]:
+        """Notes on effects that last longer than the runs, one sentence each."""
+        changes = (slow_change(s.effect, self.after.machine) for s in self.effects)
+        return tuple(change.describe() for change in changes if change)
+
+    @property
     def divergence_warnings(self) -> tuple[str, ...]:
         """Warnings about machines whose simulation diverges on a held-out run, one sentence each."""
         models = (("declared", self.declared), ("refitted", self.before), ("corrected", self.after))
@@ -190,8 +197,8 @@ class IdentificationResult:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Further limits of the result, one sentence each: parameters at limits, unused runs."""
-        return (*self.limit_warnings, *self.divergence_warnings, *self.run_warnings)
+        """Further limits of the result, one sentence each: on parameters, slow effects, unused runs."""
+        return (*self.limit_warnings, *self.slow_changes, *self.divergence_warnings, *self.run_warnings)
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of report.json as plain data; see `as_report`."""
@@ -285,16 +292,17 @@ class IdentificationResult:
             key: machine.uncertainty.std(f"{effect.label}.{key}") if machine.uncertainty else None
             for key in effect.parameters
         }
+        parameters = {
+            key: document.ParameterValue(value=value, std=stds[key], unit=machine.effect_unit(effect, key))
+            for key, value in effect.parameters.items()
+        }
+        if change := slow_change(effect, machine):
+            parameters[change.parameter].at_least = change.least
         return document.Effect(
             name=effect.name,
             family=effect.definition.family,
             site=effect.site,
-            parameters={
-                key: document.ParameterValue(
-                    value=value, std=stds[key], unit=machine.effect_unit(effect, key)
-                )
-                for key, value in effect.parameters.items()
-            },
+            parameters=parameters,
             size=_finite_or_none(self.sizes[effect.label]),
             held_out_gain=self.gains[effect.label],
             rivals=list(selected.rivals),

@@ -13,7 +13,7 @@ from .inseparable_parameters import inseparable_parameters
 # A standard deviation beyond this fraction of the prior's: the data hardly added to the declared value.
 PRIOR_DOMINATES = 0.6
 # Thresholds beyond which a parameter is reported as doubtful.
-_POOR_RELATIVE_STD = 0.2
+POOR_RELATIVE_STD = 0.2
 _POOR_PHASE_STD = 0.3  # rad
 _HIGH_CORRELATION = 0.95
 _BOUND_TOLERANCE = 1e-6  # relative
@@ -237,7 +237,7 @@ def _add_precision_doubts(
     for name, reasons in doubts.items():
         value, std = machine.parameters[name], uncertainty.std(name) or 0.0
         prior = priors.get(name)
-        limit = _POOR_PHASE_STD if roles.get(name) == "phase" else _POOR_RELATIVE_STD * abs(value)
+        limit = _POOR_PHASE_STD if roles.get(name) == "phase" else POOR_RELATIVE_STD * abs(value)
         if prior is not None and std > PRIOR_DOMINATES * prior.prior_std(value):
             reasons.append("determined by the declared value more than by the data")
         elif std > limit:

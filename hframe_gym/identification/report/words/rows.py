@@ -89,8 +89,10 @@ def effect_rows(report: Report, machine: Machine) -> list[EffectRow]:
         parameters = [
             ParameterRow(
                 name=key,
-                value=f"{p.value:.5g}",
-                std="" if p.std is None else f"± {p.std:.2g}",
+                value=f"{p.value:.5g}"
+                if p.at_least is None
+                else f"{p.value:.2g} (at least {p.at_least:.2g})",
+                std="" if p.std is None or p.at_least is not None else f"± {p.std:.2g}",
                 unit=written_unit(p.unit),
             )
             for key, p in e.parameters.items()
