@@ -140,7 +140,7 @@ class DifferentiableMotion:
     @property
     def delayed(self) -> bool:
         """Whether a drive has a delay, so that voltages of earlier periods still act."""
-        return self._program.source.delayed
+        return self._program.source.drives_delayed
 
     @property
     def state_size(self) -> int:

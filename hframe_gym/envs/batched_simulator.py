@@ -102,7 +102,7 @@ class BatchedSimulator:
         self.units_per_travel = in_blocks(1.0 / machine.travel_per_unit_of(np.tile(nominal, (count, 1))))
         self._derived = np.zeros((self.blocks, len(self._kernel.layout.derived), LANES))
         self._kernel.prepare_blocks(self.parameters, self.h, 0, self.blocks, self._derived)
-        delayed = self._kernel.delayed
+        delayed = self._kernel.drives_delayed
         self.actuators = ActuatorModel(
             machine, count, space.names.index, period=period, steps=self.steps, delayed=delayed
         )
@@ -110,7 +110,7 @@ class BatchedSimulator:
         self.readings = np.zeros((self.blocks, len(machine.sensors), LANES))
         self._undelayed = np.zeros_like(self.readings)
         self._delay_line: DelayLine | None = None
-        if sensors and self._kernel.lagged:
+        if sensors and self._kernel.sensors_delayed:
             self._delay_line = DelayLine(machine, self.blocks, self.h)
         self._steps_done = 0  # at the end of the present control period
 
@@ -153,7 +153,7 @@ class BatchedSimulator:
         kernel, delay_line = self._kernel, self._delay_line
         for first, last in block_ranges(index):
             kernel.prepare_blocks(self.parameters, self.h, first, last, self._derived)
-            if kernel.delayed:
+            if kernel.drives_delayed:
                 kernel.drive_delay_blocks(self.parameters, first, last, self.actuators.delays)
             if self._sensors:
                 kernel.read_blocks(self.state, self.parameters, first, last, self._undelayed)
@@ -200,7 +200,7 @@ class BatchedSimulator:
         inputs = self.actuators.inputs
         drives, begin = len(self.machine.drives), self._steps_done - self.steps
         for step in range(self.steps):
-            row = step * drives if self._kernel.delayed else 0
+            row = step * drives if self._kernel.drives_delayed else 0
             voltages = np.ascontiguousarray(inputs[:, row : row + drives])
             self._kernel.advance_blocks(
                 self.state, self.parameters, self._derived, voltages, self.h, 1, first, last

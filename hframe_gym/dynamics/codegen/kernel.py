@@ -48,8 +48,8 @@ class Kernel:
         read_blocks: Evaluates the sensors of blocks of machines.
         sensor_delay_blocks: Evaluates the delays of the sensors, s.
         drive_delay_blocks: Evaluates the delays of the drives, s.
-        delayed: Whether the voltage of a drive has a delay.
-        lagged: Whether a sensor has a delay.
+        drives_delayed: Whether the voltage of a drive has a delay.
+        sensors_delayed: Whether a sensor has a delay.
         states: Number of rows of a state: travel and speed of each coordinate, time, effect states.
         forced: Whether `rollout` takes, besides the voltages, an external force on every coordinate.
     """
@@ -61,8 +61,8 @@ class Kernel:
     read_blocks: Callable[..., None]
     sensor_delay_blocks: Callable[..., None]
     drive_delay_blocks: Callable[..., None]
-    delayed: bool
-    lagged: bool
+    drives_delayed: bool
+    sensors_delayed: bool
     states: int
     forced: bool
 
@@ -121,7 +121,7 @@ def kernel_for(machine: Machine, *, forced: bool = False) -> Kernel:
             len(source.layout.parameters),
             len(source.layout.derived),
         )
-        flags = (source.delayed, source.lagged, forced)
+        flags = (source.drives_delayed, source.sensors_delayed, forced)
         _KERNELS[key] = Kernel(
             layout=source.layout,
             rollout=partial(
@@ -134,8 +134,8 @@ def kernel_for(machine: Machine, *, forced: bool = False) -> Kernel:
             read_blocks=partial(time_loops.read_blocks, program.addresses["read_sensors"]),
             sensor_delay_blocks=partial(time_loops.delay_blocks, program.addresses["measurement_delays"]),
             drive_delay_blocks=partial(time_loops.delay_blocks, program.addresses["voltage_delays"]),
-            delayed=source.delayed,
-            lagged=source.lagged,
+            drives_delayed=source.drives_delayed,
+            sensors_delayed=source.sensors_delayed,
             states=source.states,
             forced=forced,
         )

@@ -66,8 +66,8 @@ class KernelSource:
             (`felt`) the acceleration along the belt travel of each coordinate and the current of each drive
             just before the present sample, under the voltages that have acted until then. They are 0 at the
             start.
-        delayed: Whether a drive has a delay.
-        lagged: Whether a sensor has a delay.
+        drives_delayed: Whether a drive has a delay.
+        sensors_delayed: Whether a sensor has a delay.
         uses_time: Whether time is counted step by step: an effect depends on it, or on the clock.
         clocked: Whether an effect changes the clock: steps then last differently long for each machine.
     """
@@ -92,8 +92,8 @@ class KernelSource:
         self.felt = len(machine.coordinates) + len(machine.drives) if feels_forces(machine) else 0
         self.states = 2 * len(self._coordinates) + 1 + len(self._plain.states) + self.felt
         definitions = [e.definition for e in (*machine.drive_laws, *machine.effects)]
-        self.delayed = any(d.delay for d in definitions)
-        self.lagged = any(d.measurement_delay for d in definitions)
+        self.drives_delayed = any(d.delay for d in definitions)
+        self.sensors_delayed = any(d.measurement_delay for d in definitions)
         hooks = [getattr(d, hook) for d in definitions for hook in HOOKS if getattr(d, hook)]
         self.clocked = any(d.clock for d in definitions)
         self.uses_time = (

@@ -122,7 +122,7 @@ class StepTrace:
     def _last_voltages(self) -> list[Expression]:
         """Return the commanded voltage of each drive in the last step."""
         count = len(self.source.machine.drives)
-        if not self.source.delayed:
+        if not self.source.drives_delayed:
             return self._voltages()
         rows = [f"(steps - 1) * {count} + {j}" for j in range(count)]
         return [self.trace.load("inputs", row, f"last_u{j}", invariant=False) for j, row in enumerate(rows)]
@@ -186,7 +186,7 @@ class StepTrace:
     def _voltages(self) -> list[Expression]:
         """Return the commanded voltage of each drive; with a delay it changes from step to step."""
         count = len(self.source.machine.drives)
-        if self.source.delayed:
+        if self.source.drives_delayed:
             return [
                 self.trace.load("inputs", f"step * {count} + {j}", f"u{j}", invariant=False)
                 for j in range(count)

@@ -118,7 +118,7 @@ def _inject_outputs(block: int, row: int, measured, gains, reading, innovation, 
 @compiled_only
 def _hold_inputs(
     block: int,
-    delayed: bool,
+    drives_delayed: bool,
     forced: bool,
     time,
     i: int,
@@ -133,7 +133,7 @@ def _hold_inputs(
 ) -> None:
     """Set voltages, with delays the means of every step, and external forces until the next sample."""
     for k in range(drive_delays.shape[0]):
-        if delayed:
+        if drives_delayed:
             # Machines of a block mostly have the voltages and the delay of its first one.
             for lane in range(LANES):
                 if lane > 0 and inputs.shape[0] == 1 and drive_delays[k, lane] == drive_delays[k, 0]:
@@ -209,7 +209,7 @@ def rollout(
     """
     prepare, voltage_delays, advance, read_sensors, measurement_delays = functions
     coordinates, rows, drives, sensors, constants, derived_rows = sizes
-    delayed, lagged, forced = flags
+    drives_delayed, sensors_delayed, forced = flags
     state = np.zeros((rows, LANES))
     block_parameters = np.zeros((constants, LANES))
     derived = np.zeros((derived_rows, LANES))
@@ -219,8 +219,8 @@ def rollout(
     reading = np.zeros((sensors, LANES))
     offset = np.zeros((sensors, LANES))
     innovation = np.zeros((sensors, LANES))
-    past_readings = np.zeros((time.shape[0] if lagged else 0, sensors, LANES))
-    voltages = np.zeros((drives * _most_steps(time, longest_step) if delayed else drives, LANES))
+    past_readings = np.zeros((time.shape[0] if sensors_delayed else 0, sensors, LANES))
+    voltages = np.zeros((drives * _most_steps(time, longest_step) if drives_delayed else drives, LANES))
     for block in range(first, last):
         begin, moving = block * LANES, 2 * coordinates
         read_block(parameters, begin, block_parameters)
@@ -229,18 +229,18 @@ def rollout(
         read_block(start[:, moving:], begin, state[moving + 1 :])
         if offsets.shape[0] > 0:
             read_block(offsets, begin, offset)
-        if delayed:
+        if drives_delayed:
             call_at(voltage_delays, block_parameters, drive_delays)
-        if lagged:
+        if sensors_delayed:
             call_at(measurement_delays, block_parameters, sensor_delays)
         period, h, steps = -1.0, longest_step, 1
         for i in range(time.shape[0]):
             row, in_row = i // every, i % every == 0
             if in_row:
                 _copy_lanes(block, row, state, out)
-            if (in_row or lagged) and (measured.shape[0] > 0 or readings.shape[0] > 0):
+            if (in_row or sensors_delayed) and (measured.shape[0] > 0 or readings.shape[0] > 0):
                 call_at(read_sensors, state, block_parameters, reading)
-                if lagged:
+                if sensors_delayed:
                     _delay_readings(time, i, sensor_delays, past_readings, reading)
                 if offsets.shape[0] > 0:
                     for j in range(sensors):
@@ -260,7 +260,7 @@ def rollout(
                 call_at(prepare, block_parameters, derived, h)
             _hold_inputs(
                 block,
-                delayed,
+                drives_delayed,
                 forced,
                 time,
                 i,
