@@ -113,7 +113,7 @@ def test_by_default_an_identification_takes_two_minutes_of_processor_time() -> N
 
 
 def test_the_page_states_when_each_stage_ends() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "identification.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "identification_steps.md").read_text(encoding="utf-8")
     cases = [
         stage_ends(m, in_part=in_part)
         for m in (BUILTIN_MACHINES["hframe"](), AXIS)
