@@ -18,13 +18,14 @@ SPECIAL_PREFERENCE = 0.95
 
 
 def beyond_noise(total: float, by_noise: float) -> float:
-    """Return the part of a sum of squares beyond the expected contribution of noise, dimensionless.
+    """Return the part of a sum of squares that noise does not cause, dimensionless.
 
-    It is at least half of this contribution, which is not known more accurately.
+    It is `total` - `by_noise`, but at least half of `by_noise`, because this is known within a factor of 1.5
+    only.
 
     Args:
-        total: Sum of squares, dimensionless.
-        by_noise: What noise is expected to contribute, dimensionless.
+        total: Sum of the squares of a measured force in units of its noise, dimensionless.
+        by_noise: Expected contribution of noise to this sum, dimensionless.
     """
     return max(total - by_noise, NOISE_ERROR * by_noise)
 
@@ -33,12 +34,15 @@ def beyond_noise(total: float, by_noise: float) -> float:
 class CauseEvidence:
     """How much of a missing force a variable, such as a position, explains.
 
+    The missing force is what the drives and the motion of the runs leave of the machine's equations. All sums
+    of squares are those of this force in units of its noise, dimensionless.
+
     Attributes:
         explained: Sum of squares that the variable explains in pieces of the runs to which its curve was not
             fitted.
         certain: `explained` minus its standard error.
         fraction: Explained fraction of the sum of squares beyond noise, in all pieces.
-        beyond_noise: Sum of squares beyond noise.
+        beyond_noise: Sum of squares beyond noise, as `beyond_noise` returns it.
         plain: Whether the variable is a position, a velocity, a current or a motor's torque.
         constant: Whether the cause is a constant force, which depends on no variable.
     """
@@ -52,20 +56,22 @@ class CauseEvidence:
 
 
 def is_cause(evidence: CauseEvidence) -> bool:
-    """Return whether a variable explains more of the missing force than chance does."""
+    """Return whether a variable explains more of the missing force than chance does.
+
+    It does if it explains more than 5 % (`MINIMUM_DEPENDENCE`) of the sum of squares beyond noise, both in
+    pieces to which its curve was not fitted and in all pieces, and more than its standard error in the
+    former.
+    """
     explained = min(evidence.explained / evidence.beyond_noise, evidence.fraction)
     return evidence.certain > 0.0 and explained > MINIMUM_DEPENDENCE
 
 
 def rank_of_cause(evidence: CauseEvidence, total: float) -> float:
-    """Return a sort key for causes: the certainly explained fraction, with a preference for plain variables.
+    """Return a sort key for causes: the explained fraction of a force, with a preference for simple ones.
 
-    Args:
-        evidence: Evidence for the cause.
-        total: Sum of squares, noise included, dimensionless.
-
-    Returns:
-        Key, dimensionless; the strongest cause has the largest.
+    The fraction is `certain` / `total`. It is divided by 0.95 for a constant force and multiplied by 0.95 for
+    a variable that is not plain, such as the age of a contact, so that these count for more or less than a
+    plain variable.
     """
     explained = evidence.certain / total
     if evidence.constant:

@@ -31,9 +31,10 @@ class LongRunVariance:
 
 
 def chance_gain(variance: LongRunVariance, criteria: SelectionCriteria) -> float:
-    """Return the reduction of the cost, dimensionless, that an absent effect hardly ever reaches.
+    """Return the largest reduction of the cost, dimensionless, that an effect which does not exist may cause.
 
-    Reduction / (variance x number of parameters) has an F distribution.
+    Reduction / (`variance.ratio` x number of parameters) has an F distribution; the result is exceeded with
+    the probability `criteria.chance` (by default 1e-6).
 
     Args:
         variance: Variance of the residual in the direction of the effect.
@@ -44,19 +45,20 @@ def chance_gain(variance: LongRunVariance, criteria: SelectionCriteria) -> float
 
 
 def chance_deviations(criteria: SelectionCriteria) -> float:
-    """Return how many standard deviations from 0 an estimate must be to exclude chance.
+    """Return how many standard deviations an estimate must be from 0 to exclude chance.
 
     Args:
-        criteria: Decision threshold `chance`, the probability that chance alone leads so far.
+        criteria: Decision threshold `chance`, the probability that an estimate of something absent lies
+            further from 0, on either side.
 
     Returns:
-        Number of standard deviations of a normal distribution, to either side, dimensionless: 4.9 for 1e-6.
+        Number of standard deviations of a normal distribution, dimensionless: 4.9 for 1e-6.
     """
     return float(-ndtri(0.5 * criteria.chance))
 
 
 def exceeds_chance(gain: float, variance: LongRunVariance, criteria: SelectionCriteria) -> bool:
-    """Return whether a reduction of the cost is larger than chance explains.
+    """Return whether a reduction of the cost is at least `chance_gain`, so that chance does not explain it.
 
     Args:
         gain: Reduction of the cost by an effect, dimensionless.

@@ -14,17 +14,18 @@ NO_CLEAR_GAIN = "does not clearly reduce the error of the held-out runs"
 
 
 def is_worse_than(ratio: float, left: float, criteria: SelectionCriteria) -> bool:
-    """Return whether a machine predicts held-out runs worse than a simpler one, such as the plain fit.
+    """Return whether a machine predicts the held-out runs worse than a simpler one, such as the plain fit.
 
-    An error that noise explains is hardly an error: among machines within the noise, a slightly smaller error
-    is chance, but a clearly smaller one is not, because both see the same noise. An error below the noise
-    counts as the noise.
+    If the machine leaves more than twice the noise (`max_noise_ratio_explained`), it is worse if its squared
+    error is more than 1 % (`min_gain`) larger than that of the simpler one. Otherwise its squared error must
+    be more than 1.2 times (`AS_GOOD`) as large, where an error below the noise counts as the noise: a
+    slightly smaller error within the noise is chance.
 
     Args:
-        ratio: Ratio of its simulation error to that of the simpler machine.
-        left: Simulation error of the machine in units of the noise; not a number if it diverges.
-        criteria: Decision thresholds `min_gain`, for the ratio of the squared errors, and
-            `max_noise_ratio_explained`, up to which they may differ by `AS_GOOD`.
+        ratio: Simulation error of the machine / that of the simpler one, dimensionless.
+        left: Simulation error of the machine in units of the noise, dimensionless; not a number if it
+            diverges.
+        criteria: Decision thresholds `min_gain` and `max_noise_ratio_explained`.
     """
     if not left <= criteria.max_noise_ratio_explained:
         return ratio**2 > 1.0 + criteria.min_gain
@@ -32,53 +33,61 @@ def is_worse_than(ratio: float, left: float, criteria: SelectionCriteria) -> boo
 
 
 def held_out_run_decides(explained: bool, *, contradicts_all: bool) -> bool:
-    """Return whether a held-out run may help to choose between a fitted machine and simpler ones.
+    """Return whether the choice between the fitted machine and simpler ones uses a held-out run.
 
-    A run that contradicts all of them does not show which machine is right, but that something was wrong with
-    the run. Its errors would outvote the other held-out runs, and which machine has the smaller one is
-    chance.
+    It does not if the fitted machine explains the fitted runs and the run contradicts all of the machines:
+    something was then wrong with the run. Its error would outvote the other held-out runs, and which machine
+    has the smaller one is chance.
 
     Args:
         explained: Whether the fitted machine explains the fitted runs.
-        contradicts_all: Whether the run contradicts the fitted machine and all simpler ones.
+        contradicts_all: Whether the run contradicts the fitted machine and all simpler ones
+            (`judge.run.contradicts`).
     """
     return not (explained and contradicts_all)
 
 
 def forces_contradict(lacking: float, without: float) -> bool:
-    """Return whether the measured forces contradict effects whose values were fitted to complete runs.
+    """Return whether the forces along the runs contradict effects whose values were fitted in simulation.
 
-    A cause exerts its force at every moment. Effects that improve the end of a long simulation, but make the
-    forces on the way worse, compensate for something else.
+    They do if the force that the machine lacks is more than 1.2 times (`AS_GOOD`) as large with the effects
+    as without. A cause exerts its force at every moment: effects that improve the end of a long simulation,
+    but make the forces on the way worse, compensate for something else.
 
     Args:
-        lacking: Missing force of the machine with the effects, relative to the force of the drives.
-        without: Missing force of the refitted machine without the effects, relative to the force of the
-            drives.
+        lacking: Root mean square of the force that the machine with the effects lacks, as a fraction of that
+            of the drives.
+        without: The same fraction for the refitted machine without the effects.
     """
     return lacking > AS_GOOD * without
 
 
 def needs_description(verdict: Verdict, names: int, left: float, criteria: SelectionCriteria) -> bool:
-    """Return whether a table should describe the remaining error, because no cause of it is named.
+    """Return whether to search for effects or tables that describe an error of which no cause is named.
+
+    It needs the verdict "unexplained", no named effect, and an error of more than twice the noise
+    (`max_noise_ratio_explained`) or a diverging simulation.
 
     Args:
-        verdict: Verdict of the search.
+        verdict: Verdict of the search and the held-out runs.
         names: Number of effects that are named.
-        left: Simulation error on the held-out runs in units of the noise; not a number if the machine
-            diverges.
+        left: Simulation error on the held-out runs in units of the noise, dimensionless; not a number if the
+            machine diverges.
         criteria: Decision threshold `max_noise_ratio_explained`.
     """
     return verdict == "unexplained" and not names and not left <= criteria.max_noise_ratio_explained
 
 
 def description_helps(ratio: float, predicted: float | None = None) -> bool:
-    """Return whether to deliver a machine with a description (more effects or tables) instead of the other.
+    """Return whether to deliver a machine with a description of what no named cause explains.
+
+    A description consists of effects or tables that are not claimed to be causes. It must reduce the squared
+    simulation error on the held-out runs by more than a factor of 1.2 (`AS_GOOD`) and, if the motion is
+    unstable, that of predictions too, because a smaller simulation error may then be chance.
 
     Args:
-        ratio: Ratio of the simulation errors with / without the description on the held-out runs.
-        predicted: Ratio of the squared prediction errors with / without the description, if the motion is
-            unstable: a smaller simulation error may then be chance, so that predictions must improve too.
-            None if the motion is stable.
+        ratio: Simulation error on the held-out runs with the description / without it, dimensionless.
+        predicted: Ratio of the squared prediction errors, with / without it, dimensionless; None if the
+            motion is stable.
     """
     return AS_GOOD * ratio**2 < 1.0 and (predicted is None or AS_GOOD * predicted < 1.0)

@@ -36,10 +36,10 @@ class DriftEvidence:
 def imitates_drift(evidence: DriftEvidence, criteria: SelectionCriteria) -> bool:
     """Return whether effects only imitate a parameter that differs from run to run.
 
-    Two conditions must hold first: the effects leave an error in simulation, which an observer hides; and the
-    values by run reduce the error without the effects by as much as an effect must. Then the explanation with
-    fewer unknowns counts, unless the other one is better by as much. With few runs, a change over time must
-    therefore show within the runs, since any two runs may differ.
+    It is False if no effect depends on time or remembers, if the effects explain the data in simulation, or
+    if another value of the parameter in each run, in place of the effects, does not reduce the error by
+    `required_gain`. Otherwise the explanation with fewer unknowns counts, and the one by run if both have as
+    many, unless the other one leaves less chi-squared per sample by more than `required_gain`.
 
     Args:
         evidence: Errors with the effects and with another value in each run.
@@ -57,9 +57,9 @@ def imitates_drift(evidence: DriftEvidence, criteria: SelectionCriteria) -> bool
 
 
 def less_well_than_by_run(parameter: str) -> str:
-    """Return the reason for removing effects that imitate a drift, as a clause that follows "it ".
+    """Return why effects that imitate a drift are removed: a clause that follows "it " (the effect).
 
     Args:
-        parameter: Name of the parameter whose values by run explain more.
+        parameter: Name of the parameter whose values by run explain the runs better.
     """
     return f"explains the runs less well than another value of {parameter} in each run"

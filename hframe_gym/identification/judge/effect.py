@@ -214,20 +214,21 @@ class EffectEvidence:
 
     @property
     def gain(self) -> float:
-        """Reduction of the cost by the effect, dimensionless."""
+        """Reduction of the cost by the effect, dimensionless; negative if the effect increases it."""
         return self.without.cost - self.with_effect.cost
 
 
 def enough_gain(error: FitError, criteria: SelectionCriteria, *, voltages_known: bool) -> float:
     """Return the smallest reduction of chi-squared per sample, dimensionless, to select an effect.
 
-    If unknown voltages between the rows may cause all of the error beyond the noise, a true effect need not
-    remove a fraction of it. The other tests decide then.
+    It is `required_gain`, or only `min_gain` if unknown voltages between the rows may cause all of the error
+    beyond the noise (`voltages_may_cause`): a true effect then need not remove a fraction of this error.
 
     Args:
-        error: Error without the effect, or with it.
+        error: Error without the effect; with it, where the effect is tested beside the others.
         criteria: Decision thresholds `min_gain`, `min_gain_fraction` and `explained_chi2`.
-        voltages_known: Whether the log contains all voltages.
+        voltages_known: Whether the log contains all voltages; False if a controller changed them between the
+            rows.
     """
     by_voltages = not voltages_known and voltages_may_cause(error, criteria)
     return criteria.min_gain if by_voltages else required_gain(error, criteria)
@@ -236,11 +237,15 @@ def enough_gain(error: FitError, criteria: SelectionCriteria, *, voltages_known:
 def doubt_about_candidate(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
     """Return why an effect that the search just added may not exist; "" if nothing speaks against it.
 
-    The statistical tests (confirmation by other runs, chance, disagreement of the sensors, interpolation of
-    the voltages, equal size with every observer) are made only if the machine without the effect nearly
-    explains the data, or if the effect removes less than `required_gain`; the other tests always. While other
-    effects are missing, a fit without one run says little about the machine, and what they leave is
-    correlated in time. `doubt_beside_others` makes the statistical tests later for every effect.
+    These tests are always made, and the first that fails gives the reason: `simpler_effect`,
+    `fault_of_machine`, a force as large as the one that remains unexplained (`min_force_ratio`), and no mere
+    correction to the formula of another effect (`max_form_error`).
+
+    The statistical tests are added if the machine without the effect has a chi-squared per sample below 1.5
+    (`explained_chi2`), or if the effect removes less than `required_gain`: confirmation by runs to which it
+    was not fitted, chance, disagreement of the sensors, unknown voltages between the rows, and equal size
+    with every observer. Elsewhere missing effects would falsify them; `doubt_beside_others` makes them for
+    every effect at the end of the search.
 
     Args:
         evidence: What the fitted runs say.
@@ -254,21 +259,21 @@ def doubt_about_candidate(evidence: EffectEvidence, criteria: SelectionCriteria)
 
 
 def may_be_no_effect(doubt: str) -> bool:
-    """Return whether a doubt means that there may be no effect at all: chance or unknown voltages suffice.
+    """Return whether a doubt, `BY_CHANCE` or `BY_VOLTAGES`, says that there may be no cause at all.
 
-    Other doubts mean that another effect may be the cause.
+    All other doubts leave it possible that another effect is the cause.
 
     Args:
-        doubt: Why the effect may not exist, or "".
+        doubt: Why the effect may not exist, as `doubt_about_candidate` returns it, or "".
     """
     return doubt in (BY_CHANCE, BY_VOLTAGES)
 
 
 def hidden_by(label: str) -> str:
-    """Return the doubt about an effect that explains nothing beyond another effect, which may not exist.
+    """Return the doubt about an effect that explains little beyond another one: a clause after "it ".
 
     Args:
-        label: Label of the other effect.
+        label: Label of the other effect, name@site, which chance or unknown voltages may explain as well.
     """
     return f"explains little that {label} does not, which chance or unknown voltages may explain as well"
 
@@ -276,13 +281,15 @@ def hidden_by(label: str) -> str:
 def doubt_beside_others(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
     """Return why an effect may not exist beside all other effects; "" if nothing speaks against it.
 
-    It must reduce the error by enough, and pass all tests of `doubt_about_candidate`. No parameter may end at
-    a limit that is no meaningful value: the recordings then ask for a value that the effect cannot have, and
-    another effect imitates it.
+    It is doubted if it reduces the error by less than `enough_gain`, if a parameter is at a meaningless limit
+    (`parameter_at_limit`), or if it fails any test of `doubt_about_candidate`, the statistical ones included.
 
     Args:
-        evidence: What the fitted runs say.
+        evidence: What the fitted runs say with and without this effect, beside the others.
         criteria: Decision thresholds.
+
+    Returns:
+        Clause that follows "it ", or "".
     """
     enough = enough_gain(evidence.with_effect, criteria, voltages_known=evidence.beside_voltages is None)
     if not is_enough(evidence.without, evidence.with_effect, enough):
@@ -387,10 +394,17 @@ def _unconfirmed(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
 
 
 def fault_of_machine(behavior: MachineBehavior) -> str:
-    """Return why a machine is not physical outside its recordings, or "" if it is physical.
+    """Return why a machine with effects is not physical outside its recordings, or "" if it is physical.
+
+    It is not if an effect has a parameter below the least value of what its name says, or if the machine,
+    driven by random voltages up to the rated one, diverges or is more than five times (`LARGEST_SPEED_RATIO`)
+    as fast as without the effects.
 
     Args:
-        behavior: Behavior of the machine outside the recordings.
+        behavior: Top speeds and effects whose names do not fit their values.
+
+    Returns:
+        Clause that follows "it " (the effect), or "".
     """
     if behavior.misnamed:
         return f"has a sign with which {behavior.misnamed[0]} is not what its name says"
@@ -453,10 +467,17 @@ def _form_error(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
 
 
 def parameter_at_limit(parameters: Iterable[ParameterValue]) -> str:
-    """Return the doubt about an effect that has a parameter at a meaningless limit of its range; else "".
+    """Return the doubt about an effect that has a parameter at a meaningless limit of its range, or "".
+
+    A value counts as at a limit within 1 % of it (`AT_LIMIT`): at one of `ParameterValue.limits`, at or above
+    the upper end of `covered`, or at or below its lower end if `covered_below`. The data then ask for a value
+    that the effect cannot have or the runs cannot determine: another effect may be the cause.
 
     Args:
         parameters: Fitted parameters of the effect.
+
+    Returns:
+        Clause that follows "it ", naming the first such parameter, or "".
     """
     for p in parameters:
         if p.covered is not None:
@@ -476,12 +497,16 @@ def parameter_at_limit(parameters: Iterable[ParameterValue]) -> str:
 
 
 def simpler_effect(parameters: Iterable[ParameterValue]) -> str:
-    """Return the doubt that an effect is another one, with fewer parameters, by the value of one; else "".
+    """Return the doubt that an effect is another one with fewer parameters, or "".
 
-    What is left of the difference is the error of the model, to which one more parameter adapts.
+    It is if a parameter is within 1 % (`AT_LIMIT`) of a value of `ParameterValue.simpler`. One more parameter
+    adapts to the error of the model, which explains so small a difference.
 
     Args:
         parameters: Fitted parameters of the effect.
+
+    Returns:
+        Clause that follows "it ", naming the simpler effect, or "".
     """
     for p in parameters:
         for value, name in p.simpler.items():
@@ -491,16 +516,18 @@ def simpler_effect(parameters: Iterable[ParameterValue]) -> str:
 
 
 def uncertain_size(sizes: Sequence[Size], criteria: SelectionCriteria) -> str:
-    """Return the doubt about an effect whose amplitudes all may be 0; "" if one is certain.
+    """Return the doubt about an effect whose amplitudes all may be 0; "" if one is certain, or without any.
 
-    An amplitude is certain if it exceeds as many standard deviations as the best of all candidates reaches by
-    chance. This is tested again at the end because the tests of the search compare costs of earlier fits,
-    which used other observers and rows. Also, a fit may have ended where the measurements hardly depend on
-    the effect: then something else lowered the cost.
+    An amplitude is certain if it is at least `chance_deviations` (4.9) standard deviations from 0. The final
+    fit is tested because the search compared costs of fits with other observers and rows, and because a fit
+    may end where the measurements hardly depend on the effect: then something else lowered the cost.
 
     Args:
-        sizes: Amplitudes of the effect in the delivered machine.
+        sizes: Amplitudes of the effect in the final fit.
         criteria: Decision threshold `chance`.
+
+    Returns:
+        Clause that follows "it ", with all amplitudes and their standard deviations, or "".
     """
     deviations = chance_deviations(criteria)
     if not sizes or any(abs(size.value) >= deviations * size.std for size in sizes):
@@ -536,11 +563,11 @@ class TimingEvidence:
 
 
 def removed_fraction(without: float, with_effect: float) -> float:
-    """Return the fraction of a cost that an effect removes, dimensionless; negative if it adds to the cost.
+    """Return the fraction of a cost that an effect removes, 1 - `with_effect` / `without`, dimensionless.
 
     Args:
-        without: Cost without the effect, dimensionless.
-        with_effect: Cost with it, dimensionless.
+        without: Cost without the effect, dimensionless, above 0.
+        with_effect: Cost with it, dimensionless; a larger one gives a negative fraction.
     """
     return 1.0 - with_effect / without
 
@@ -548,12 +575,18 @@ def removed_fraction(without: float, with_effect: float) -> float:
 def doubt_about_timing(evidence: TimingEvidence, criteria: SelectionCriteria) -> str:
     """Return why a delay or lag of the drives may not exist; "" if nothing speaks against it.
 
-    The errors that it explains are fast. It must therefore remove a larger fraction of the error with the
-    wider observer.
+    Such an effect explains fast errors, so it is tested with an observer wider than that of the search. It is
+    doubted, in this order, if it does not remove a larger fraction of the error with this observer than with
+    the other one, if its gain does not exceed chance, if runs to which it was not fitted confirm less than 30
+    % of the gain (`min_confirmed_fraction`), if the machine with it is not physical, or if it does not reduce
+    the error of the held-out runs.
 
     Args:
         evidence: What the fitted and the held-out runs say.
         criteria: Decision thresholds `chance` and `min_confirmed_fraction`.
+
+    Returns:
+        Clause that follows "it ", or "".
     """
     gain = evidence.wide[0] - evidence.wide[1]
     if removed_fraction(*evidence.wide) <= max(removed_fraction(*evidence.search), 0.0):

@@ -40,7 +40,8 @@ class FitError:
         bandwidth: Bandwidth of the observer that corrects the predictions by the measurements, rad/s; 0 for a
             simulation.
         widest: Whether this is the widest observer (60 rad/s), which feeds back the sensors' noise.
-        floor: Chi-squared per sample of an exact machine with this observer: 1 / (1 - position gain).
+        floor: Chi-squared per sample that an exact machine leaves with this observer: 1 / (1 - position
+            gain); with unknown voltages between the rows, what they cause as well.
     """
 
     cost: float
@@ -51,17 +52,17 @@ class FitError:
 
     @property
     def chi2(self) -> float:
-        """Chi-squared per sample (mean squared residual / variance), dimensionless; 1 for mere noise."""
+        """Chi-squared per sample: the cost / the number of values, dimensionless; 1 if only noise is left."""
         return self.cost / self.count
 
     @property
     def excess(self) -> float:
-        """Chi-squared per sample beyond that of an exact machine, dimensionless, at least 0."""
+        """Chi-squared per sample minus that of an exact machine (`floor`), dimensionless, at least 0."""
         return max(self.chi2 - self.floor, 0.0)
 
     @property
     def simulated(self) -> bool:
-        """Whether it is the error of a simulation, without an observer."""
+        """Whether it is the error of an open-loop simulation (bandwidth 0), without an observer."""
         return self.bandwidth == 0.0
 
 
@@ -73,17 +74,18 @@ def required_gain(error: FitError, criteria: SelectionCriteria) -> float:
         criteria: Decision thresholds `min_gain` and `min_gain_fraction`.
 
     Returns:
-        Reduction of chi-squared per sample, dimensionless.
+        The larger of `min_gain` (0.01) and `min_gain_fraction` (0.1) times the excess of the error,
+        dimensionless.
     """
     return max(criteria.min_gain, criteria.min_gain_fraction * error.excess)
 
 
 def is_enough(without: FitError, with_effect: FitError, enough: float) -> bool:
-    """Return whether a change of the machine reduces chi-squared per sample by a required amount.
+    """Return whether a change of the machine reduces chi-squared per sample by at least a required amount.
 
     Args:
         without: Error without the change.
-        with_effect: Error with it, of the same observer.
+        with_effect: Error with it, of the same observer and the same measured values.
         enough: Required reduction of chi-squared per sample, dimensionless.
     """
     return not without.cost - with_effect.cost < enough * without.count
@@ -94,13 +96,12 @@ def explains(
 ) -> bool:
     """Return whether a machine explains the data, so that no effect is missing.
 
-    A machine without effects that needs the widest observer may lack forces of unknown size, although the
-    observer leaves no error. Therefore its simulation, without an observer, must also explain the data,
-    within the limit for held-out runs. (Drifting noise, such as that of a tachometer, needs this observer as
-    well. Rigs with a negligible residue needed 15 to 30 rad/s.)
+    Chi-squared per sample must be below 1.5 (`explained_chi2`). If a machine without effects reaches this
+    with the widest observer only, it may lack forces of any size, which this observer hides: its simulation
+    must then leave no more than twice the noise (`max_noise_ratio_explained`) as well.
 
     Args:
-        error: Error at the most likely observer bandwidth.
+        error: Error with the observer under which the data are most likely.
         criteria: Decision thresholds `explained_chi2` and `max_noise_ratio_explained`.
         without_effects: Whether the machine has no effects beside the declared ones.
         simulated: Function that returns chi-squared per sample of its simulation, dimensionless.
@@ -111,15 +112,20 @@ def explains(
 
 
 def nearly_explains(error: FitError, criteria: SelectionCriteria) -> bool:
-    """Return whether so little error is left that missing effects do not falsify statistical tests."""
+    """Return whether chi-squared per sample is below `explained_chi2` (1.5).
+
+    So little error does not falsify statistical tests. In contrast to `explains`, the widest observer
+    suffices.
+    """
     return error.chi2 < criteria.explained_chi2
 
 
 def voltages_may_cause(error: FitError, criteria: SelectionCriteria) -> bool:
     """Return whether unknown voltages between the rows may cause all of an error beyond the noise.
 
-    With all voltages known, an exact machine may leave as much as `explained_chi2`. Here the limit of the
-    excess is larger, by the factor within which the variance of the unknown voltages is known.
+    They may if chi-squared per sample is below 1 + 4 x 0.5 = 3: with all voltages known, an exact machine may
+    exceed 1 by 0.5 (`explained_chi2`), and the variance of the unknown voltages is known within a factor of 4
+    (`SIZE_OF_VOLTAGES` squared).
 
     Args:
         error: Error of a fit to a log that is slower than its controller.
@@ -129,28 +135,25 @@ def voltages_may_cause(error: FitError, criteria: SelectionCriteria) -> bool:
 
 
 def only_noise_is_left(error: FitError, criteria: SelectionCriteria) -> bool:
-    """Return whether only noise is left: the rest is less than an effect must explain (`min_gain`)."""
+    """Return whether chi-squared per sample is at most 1 + `min_gain` (0.01), the least gain of an effect."""
     return error.chi2 <= 1.0 + criteria.min_gain
 
 
 def unexplained_fraction(error: FitError, best: FitError | None) -> float:
-    """Return the fraction of an error beyond the noise that remains with the best trial.
+    """Return the fraction of an excess that the best trial leaves, from 0 to 1; 1 without trials.
 
     Args:
-        error: Error without a trial.
+        error: Error without the effect of the trial.
         best: Smallest error of a trial, with the same observer; None without trials.
-
-    Returns:
-        Fraction, dimensionless, from 0 to 1; 1 without trials.
     """
     return 1.0 if best is None else min(1.0, best.excess / max(error.excess, 1e-9))
 
 
 def is_better_start(predicted: tuple[float, float], simulated: tuple[float, float]) -> bool:
-    """Return whether a refit from the values of a plain fit is better than one from the declared values.
+    """Return whether to refit from the values of a plain fit instead of the declared ones.
 
-    It is better if its predictions are clearly better, or if they are a little better and its simulation is
-    much better.
+    It is better if its prediction cost is smaller by a factor of 1.2 (`AS_GOOD`), or if it is smaller at all
+    and the simulation cost is smaller by a factor of 2 (`CLEAR`).
 
     Args:
         predicted: Costs of the refits from the plain and from the declared values, with the widest observer,

@@ -12,9 +12,9 @@ from .error import AS_GOOD, CLEAR, FitError, nearly_explains
 
 
 def equal_margin(without: FitError, best_cost: float, criteria: SelectionCriteria) -> float:
-    """Return by how much a trial's cost may exceed the best one's if both count as equally good.
+    """Return by how much a trial's cost, dimensionless, may exceed the best one's if both are equally good.
 
-    The result is dimensionless.
+    It is 3 % (1 - `rival_gain_fraction`) of the reduction of the cost by the best trial.
 
     Args:
         without: Error without any of the trials.
@@ -25,19 +25,21 @@ def equal_margin(without: FitError, best_cost: float, criteria: SelectionCriteri
 
 
 def preference(cost: float, parameters: int, needs_part: bool, limit: float) -> tuple[bool, int, bool]:
-    """Return a sort key for trials; of equally good ones, the one with the fewest parameters comes first.
+    """Return a sort key for the trials of a step: equally good ones first, of these the simplest.
 
-    Of these, an effect that any machine may have comes before one that needs a part: friction that falls with
-    speed was called an eddy-current brake on a ball screw that has no magnets.
+    A trial is equally good if its cost is at most `limit`. Of these, the one with the fewest parameters comes
+    first; with equal numbers, an effect that any machine may have before one that needs a part, such as an
+    eddy-current brake, which needs magnets.
 
     Args:
         cost: Cost of the trial, dimensionless.
-        parameters: Number of its free parameters.
+        parameters: Number of free parameters of its effect.
         needs_part: Whether its effect exists on machines with a certain part only.
-        limit: Cost up to which trials are equally good, dimensionless.
+        limit: Cost up to which trials are equally good, dimensionless: the smallest cost + `equal_margin`.
 
     Returns:
-        Key for ascending order. Trials above the limit have equal keys: a stable sort keeps their order.
+        Key for ascending order. Trials above the limit have equal keys, so that a stable sort keeps their
+        order.
     """
     equal = cost <= limit
     return not equal, parameters if equal else 0, needs_part if equal else False
@@ -63,10 +65,14 @@ class TrialEvidence:
 def may_be_the_cause(evidence: TrialEvidence, criteria: SelectionCriteria) -> bool:
     """Return whether another tried effect, instead of the selected one, may be the cause.
 
-    It may be in three cases: it explains nearly as much; it explains more than half as much, and chance can
-    cause the difference, because the remaining error is correlated in time; or the selected effect does not
-    nearly explain the data, and both leave about the same error. In the last case the error is due to missing
-    effects, and both effects are compared again once these are found.
+    It may in three cases:
+
+    - It reduces the cost by more than 97 % (`rival_gain_fraction`) of what the selected one does.
+    - It reduces it by more than half of that, the selected one nearly explains the data, and chance may cause
+      the difference (`chance_gain`).
+    - It reduces it by more than half of that, the selected one does not nearly explain the data, and its
+      excess is below 1.2 times (`AS_GOOD`) that of the selected one. Both are compared again when the missing
+      effects are found.
 
     Args:
         evidence: Errors without and with each of the two effects.
@@ -105,7 +111,9 @@ class RivalEvidence:
 
 
 def chance_margin(variance: LongRunVariance, count: float, criteria: SelectionCriteria) -> float:
-    """Return the difference of two losses that chance may cause, dimensionless.
+    """Return the difference of the losses of two machines that chance may cause, dimensionless.
+
+    It is `chance_gain` per measured value, as a loss is.
 
     Args:
         variance: Variance of the residual in the effect's direction.
@@ -116,7 +124,9 @@ def chance_margin(variance: LongRunVariance, count: float, criteria: SelectionCr
 
 
 def is_likelier(evidence: RivalEvidence, least: float) -> bool:
-    """Return whether a rival is more likely than the effect and all rivals so far, beyond chance.
+    """Return whether a rival has a loss below those of the effect and the rivals so far, beyond chance.
+
+    The difference must exceed its `rival_margin`.
 
     Args:
         evidence: Losses with the effect and with the rival.
@@ -126,33 +136,36 @@ def is_likelier(evidence: RivalEvidence, least: float) -> bool:
 
 
 def remains_rival(evidence: RivalEvidence) -> bool:
-    """Return whether a rival remains possible: chance may explain that it is less likely than the effect.
+    """Return whether a rival remains possible: its loss exceeds the effect's by no more than chance may.
 
-    A pair of effects that moves the stage alike differs only while friction holds the stage, where a fit is
-    least reliable; the larger of both margins counts then.
+    That is `margin`; for a rival that was derived from a pair of effects (not `known`), the larger one of
+    both margins. Such a pair moves the stage as the effect does, except while friction holds it, where a fit
+    is least reliable.
     """
     margin = evidence.margin if evidence.known else max(evidence.margin, evidence.rival_margin)
     return evidence.rival_loss <= evidence.loss + margin
 
 
 def only_a_row_tells(durations: Sequence[float], period: float) -> bool:
-    """Return whether delays and lags are over within a row of a log, so that it cannot distinguish them.
+    """Return whether all of several delays and lags are shorter than a row of a log.
 
-    A delay and a lag of equal duration act alike on everything that changes more slowly. In a log slower than
-    its controller, the voltages within a row are unknown: on two stages, the wrong effect of the two
-    explained more.
+    The log then cannot tell them apart.
+
+    A delay and a lag of equal duration act alike on everything that changes more slowly than they do, and in
+    a log slower than its controller the voltages within a row are unknown.
 
     Args:
-        durations: Durations of the delays or lags, s; all must be shorter than the period.
+        durations: Durations of the delays or lags, s, at least one.
         period: Sampling period of the log, s.
     """
     return max(durations) < period
 
 
 def largest_resembling_loss(variance: LongRunVariance, criteria: SelectionCriteria) -> float:
-    """Return the increase of chi-squared, dimensionless, below which runs may not distinguish two effects.
+    """Return the increase of the cost, dimensionless, up to which another effect may be a rival.
 
-    It is known to first order only, and is therefore clearly larger than what chance may cause.
+    It is twice (`CLEAR`) what chance may cause, because the increase is predicted by a linearization, before
+    the rival is fitted.
 
     Args:
         variance: Variance of the residual in the effect's direction.

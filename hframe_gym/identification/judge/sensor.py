@@ -23,7 +23,12 @@ class SensorEvidence:
 
 
 def deviates_alone(evidence: SensorEvidence) -> bool:
-    """Return whether a sensor itself is wrong: its error exceeds noise, and other sensors contradict it."""
+    """Return whether a sensor or its mounting is in error, not the model of the machine.
+
+    It is if its squared simulation error is more than 10 times (`FAR`) its noise, if each motion that it
+    measures has another sensor, and if the squared error of each of these is less than a tenth of what it
+    would be if the machine had moved as the suspect sensor says.
+    """
     if not evidence.noise_ratio**2 > FAR or not evidence.others:
         return False
     return all(ratios and all(FAR * ratio**2 < 1.0 for ratio in ratios) for ratios in evidence.others)

@@ -13,12 +13,12 @@ from .error import AS_GOOD, CLEAR, FAR, FitError, is_enough, required_gain
 
 
 def confirms_table(left_out_ratio: float, criteria: SelectionCriteria) -> bool:
-    """Return whether a table is confirmed by data to which it was not fitted.
+    """Return whether data to which a table was not fitted keep less than 40 % of their cost with it.
 
     Args:
-        left_out_ratio: Ratio of the cost of these data with the table / without it, a geometric mean; not
-            finite if one diverges.
-        criteria: Decision threshold `max_table_cross_validation`.
+        left_out_ratio: Ratio of the cost of these data with the table / without it, dimensionless: a
+            geometric mean over pieces of the runs; not finite if one diverges.
+        criteria: Decision threshold `max_table_cross_validation`, the 40 %.
     """
     return left_out_ratio < criteria.max_table_cross_validation
 
@@ -26,17 +26,19 @@ def confirms_table(left_out_ratio: float, criteria: SelectionCriteria) -> bool:
 def confirms_knots(left_out_ratio: float) -> bool:
     """Return whether moved knots reduce the cost of data to which they were not fitted.
 
-    Any reduction suffices, because few runs reach the ends of a table, so that its error there is uncertain.
-    `moves_knots` decides whether the gain is large enough.
+    A knot is one of the values between which a table is interpolated. Any reduction suffices, because few
+    runs reach the ends of a table, so that its error there is uncertain. `moves_knots` decides whether the
+    gain is large enough.
 
     Args:
-        left_out_ratio: Ratio of the cost of these data with the moved knots / with the former ones.
+        left_out_ratio: Ratio of the cost of these data with the moved knots / with the former ones,
+            dimensionless.
     """
     return left_out_ratio < 1.0
 
 
 def moves_knots(before: FitError, moved: FitError, criteria: SelectionCriteria) -> bool:
-    """Return whether moved knots of a table reduce the error by as much as an effect must.
+    """Return whether moved knots of a table reduce chi-squared per sample by `required_gain`.
 
     Args:
         before: Error with the former knots.
@@ -70,9 +72,9 @@ class TableEvidence:
 def accepts_table(evidence: TableEvidence) -> bool:
     """Return whether a machine with tables is accepted in place of the best machines without tables.
 
-    It is if it explains the data, or if its error is a tenth (`FAR`) of theirs. Where tables replace two or
-    more effects, half the error (`CLEAR`) of the machine with effects suffices: several effects may only
-    imitate one curve.
+    It is if it explains the data, or if its excess is less than a tenth (`FAR`) of that of the refitted
+    machine and of the one with effects. Where tables replace two or more effects, less than half (`CLEAR`) of
+    the excess with effects suffices: several effects may only imitate one curve.
 
     Args:
         evidence: Errors of the machines.
@@ -87,13 +89,9 @@ def accepts_table(evidence: TableEvidence) -> bool:
 def is_one_curve(table: float, effects: float) -> bool:
     """Return whether several effects of one variable only imitate a curve of another form.
 
-    A table over the variable, in place of the effects, shows this. With the widest observer, such effects may
-    explain the data, but the error of their forms adds up in a simulation. A table can hardly be better than
-    the right effects.
-
-    Without this rule, a spring and an unbalance are named falsely on a simulated servo whose cable pulls with
-    the square of the angle. They predict its held-out runs better than the table does, though: the error is
-    1.5 instead of 3.8 times the noise.
+    A table over this variable, in place of the effects, must leave less than half (`CLEAR`) of their
+    simulation cost. With the widest observer, such effects may explain the data, but the error of their forms
+    adds up in a simulation. A table can hardly be better than the right effects.
 
     Args:
         table: Cost of the simulation with the table in place of the effects, dimensionless.
@@ -105,7 +103,7 @@ def is_one_curve(table: float, effects: float) -> bool:
 def recommended_formula(errors: Sequence[float]) -> int | None:
     """Return the index of the simplest formula that is as good as the best one; None without formulas.
 
-    Formulas are as good if their squared errors differ by no more than the accuracy of the noise (`AS_GOOD`).
+    A formula is as good if its squared error is at most 1.2 times (`AS_GOOD`) the smallest one.
 
     Args:
         errors: Root mean square errors of the formulas, in units of the noise, the simplest formula first.
@@ -115,6 +113,8 @@ def recommended_formula(errors: Sequence[float]) -> int | None:
 
 def is_better_than_table(formula: float, table: float) -> bool:
     """Return whether a formula is better than the table that it replaces.
+
+    Its squared error must be smaller by a factor of more than 1.2 (`AS_GOOD`).
 
     Args:
         formula: Root mean square error with the formula on the held-out runs, in units of the noise.

@@ -12,30 +12,35 @@ from .error import CLEAR, FitError, nearly_explains, only_noise_is_left, unexpla
 
 
 def least_promise(enough: float, count: float, best: float, criteria: SelectionCriteria) -> float:
-    """Return the linearized reduction of the cost, dimensionless, that makes a candidate worth a fit.
+    """Return the promise of a candidate, the linearized reduction of the cost, from which on it is fitted.
+
+    It is the larger of 60 % (`linear_gain_ratio`) of the required reduction and 40 % (`min_promise`) of the
+    best candidate's promise, dimensionless.
 
     Args:
-        enough: Reduction of chi-squared per sample that the search requires, dimensionless.
+        enough: Reduction of chi-squared per sample that an effect must reach, dimensionless.
         count: Number of measured values, dimensionless.
-        best: Largest linearized reduction of the cost by a candidate, dimensionless; 0 without candidates.
+        best: Largest promise of a candidate, dimensionless; 0 without candidates.
         criteria: Decision thresholds `linear_gain_ratio` and `min_promise`.
     """
     return max(criteria.linear_gain_ratio * enough * count, criteria.min_promise * best)
 
 
 def promises_enough_force(size: float, residue: float, criteria: SelectionCriteria) -> bool:
-    """Return whether a candidate's force may exceed the force that would remain unexplained.
+    """Return whether a candidate's force is at least half of the one that would remain unexplained.
 
     Args:
-        size: Linearized force of the candidate, N.
-        residue: Force that remains unexplained, N.
-        criteria: Decision threshold `min_promised_force_ratio`.
+        size: Root mean square force of the candidate, by a linearization, N.
+        residue: Root mean square force that remains unexplained, N.
+        criteria: Decision threshold `min_promised_force_ratio`, the half.
     """
     return size >= criteria.min_promised_force_ratio * residue
 
 
 def explains_alone(error: FitError, best: FitError | None, criteria: SelectionCriteria) -> bool:
-    """Return whether the best trial explains the data, so that only its possible rivals are fitted.
+    """Return whether the best trial explains the data, so that only its possible rivals are fitted besides.
+
+    It does if it leaves less than 20 % (`rival_remainder`) of the excess.
 
     Args:
         error: Error of the fit without the trial's effect.
@@ -46,7 +51,9 @@ def explains_alone(error: FitError, best: FitError | None, criteria: SelectionCr
 
 
 def may_be_rival(promise: float, explaining: float, criteria: SelectionCriteria) -> bool:
-    """Return whether a candidate may be a rival of the candidate that explains the data.
+    """Return whether a candidate promises more than 80 % (`rival_promise`) of the one that explains the data.
+
+    Only then is it fitted as a possible rival.
 
     Args:
         promise: Linearized reduction of the cost by the candidate, dimensionless.
@@ -58,7 +65,7 @@ def may_be_rival(promise: float, explaining: float, criteria: SelectionCriteria)
 
 
 def may_replace(promise: float, gain: float, criteria: SelectionCriteria) -> bool:
-    """Return whether another effect may explain as much as the one that is removed.
+    """Return whether an effect promises at least 60 % (`linear_gain_ratio`) of what a removed one explains.
 
     Args:
         promise: Linearized reduction of the cost by the other effect, without the removed one, dimensionless.
@@ -73,24 +80,28 @@ def may_be_local_minimum(
 ) -> bool:
     """Return whether to try candidates from the declared parameters too, in case of a local minimum.
 
+    It may if a parameter is at its limit, or if chi-squared per sample is above 1.5 (`explained_chi2`) and no
+    candidate is worth a fit.
+
     Args:
         error: Error of the present fit.
         criteria: Decision threshold `explained_chi2`.
-        any_trial: Whether a candidate was promising at the present parameters.
+        any_trial: Whether a candidate was worth a fit at the present parameters.
         parameter_at_limit: Whether a parameter of the fit is at its limit.
     """
     return parameter_at_limit or (not any_trial and error.chi2 > criteria.explained_chi2)
 
 
 def least_structural_promise(useful: float, enough: float, criteria: SelectionCriteria) -> float:
-    """Return the linearized gain, dimensionless, above which a structural effect is fitted.
+    """Return the promise, per measured value, dimensionless, from which on a structural effect is fitted.
 
-    A structural effect replaces a part of the model. If no other effect is useful, every candidate may be
-    needed, because the linearization underestimates their gain.
+    It is the larger of the required reduction and 10 % (`min_structural_promise`) of the best other trial's;
+    0, so that all are fitted, if no other trial reaches the required reduction, because a linearization
+    underestimates the gain of structures.
 
     Args:
-        useful: Best gain of a trial with another effect, chi-squared per sample, dimensionless.
-        enough: Gain that the search requires, chi-squared per sample, dimensionless.
+        useful: Largest reduction of chi-squared per sample by a trial with another effect, dimensionless.
+        enough: Reduction of chi-squared per sample that an effect must reach, dimensionless.
         criteria: Decision threshold `min_structural_promise`.
     """
     return max(enough, criteria.min_structural_promise * useful) if useful >= enough else 0.0
@@ -117,13 +128,14 @@ class StructureEvidence:
 
 
 def is_worth_structures(evidence: StructureEvidence, criteria: SelectionCriteria) -> bool:
-    """Return whether to try structural effects (replacing a part of the model): others leave much error.
+    """Return whether to try structural effects: they replace a part of the model and must be compiled first.
 
-    Their simulations must first be compiled. After an unsuccessful attempt, the error must have become
-    clearly smaller. They are not tried for an excess below the least gain of an effect either.
+    They are not tried if they were tried in vain with the same observer and the excess has not fallen to 0.67
+    (`structural_retry`) of its value then. Otherwise they are tried if the best other trial adds a force with
+    memory, or if it leaves more than half (`structural_remainder`) of an excess above 0.01 (`min_gain`).
 
     Args:
-        evidence: The present errors, and those at the last trial.
+        evidence: The present errors, and those at the last trial of such effects.
         criteria: Decision thresholds `structural_retry`, `structural_remainder` and `min_gain`.
     """
     error = evidence.error
@@ -141,34 +153,39 @@ def is_worth_structures(evidence: StructureEvidence, criteria: SelectionCriteria
 def is_worth_convergence(
     error: FitError, trial: FitError, enough: float, criteria: SelectionCriteria
 ) -> bool:
-    """Return whether to continue the fit of a trial: its first iterations gain enough of what is required.
+    """Return whether to continue the fit of a trial after its first iterations.
+
+    It is if the cost is at most `largest_useful_cost`.
 
     Args:
         error: Error without the effect.
-        trial: Error of the trial.
-        enough: Required gain, chi-squared per sample, dimensionless.
+        trial: Error of the trial after these iterations.
+        enough: Reduction of chi-squared per sample that an effect must reach, dimensionless.
         criteria: Decision threshold `min_trial_gain`.
     """
     return not trial.cost > largest_useful_cost(error, enough, criteria)
 
 
 def largest_useful_cost(error: FitError, enough: float, criteria: SelectionCriteria) -> float:
-    """Return the cost of a trial, dimensionless, above which its fit is not continued.
+    """Return the cost of a trial after its first iterations, dimensionless, above which its fit ends.
+
+    Up to it, the trial has reached half (`min_trial_gain`) of the required reduction.
 
     Args:
         error: Error without the effect.
-        enough: Required gain, chi-squared per sample, dimensionless.
+        enough: Reduction of chi-squared per sample that an effect must reach, dimensionless.
         criteria: Decision threshold `min_trial_gain`.
     """
     return error.cost - criteria.min_trial_gain * enough * error.count
 
 
 def gives_way(gain: float, best_other: float) -> bool:
-    """Return whether to put a trial with a parameter at its limit behind trials without such a parameter.
+    """Return whether to put a trial with a parameter at its limit behind the trials without one.
 
-    Its effect would be removed at the end (`judge.effect.parameter_at_limit`); until then, it would hide what
-    another effect explains. But while other effects are missing, a true effect may be at a limit as well, and
-    explain far more.
+    It gives way if one of these reduces the cost by more than half of what it does. Its effect would be
+    removed at the end (`judge.effect.parameter_at_limit`), and hide until then what another effect explains.
+    Where it explains far more, it may be a true effect, whose parameter moves when the missing effects are
+    found.
 
     Args:
         gain: Reduction of the cost by the trial, dimensionless.
@@ -180,14 +197,17 @@ def gives_way(gain: float, best_other: float) -> bool:
 def search_goes_on(
     error: FitError, selected: int, criteria: SelectionCriteria, *, noise_known: bool = True
 ) -> bool:
-    """Return whether to search for another effect: more than noise is left, and more effects are allowed.
+    """Return whether to search for another effect.
+
+    It goes on while fewer than five effects (`max_effects`) are selected and more than noise is left
+    (`only_noise_is_left`).
 
     Args:
         error: Error with the effects selected up to now.
         selected: Number of selected effects.
         criteria: Decision thresholds `max_effects` and `min_gain`.
-        noise_known: Whether the size of the noise is known, so that an error of that size has no other cause.
-            The errors of voltages between the rows of a log are known within a factor of four only.
+        noise_known: Whether the size of the noise is known. If not, the error is not compared with it: what
+            unknown voltages between the rows of a log cause is known within a factor of four only.
     """
     return selected < criteria.max_effects and not (noise_known and only_noise_is_left(error, criteria))
 
@@ -195,8 +215,8 @@ def search_goes_on(
 def is_worth_searching_pairs(error: FitError, selected: int, criteria: SelectionCriteria) -> bool:
     """Return whether to search for two effects that reduce the error only together.
 
-    It is not worth it if the selected effects nearly explain the data: a pair that fits the small rest may
-    not exist.
+    It is if chi-squared per sample is at least 1.5 (`explained_chi2`) and two more effects are allowed. A
+    pair that fits a smaller rest may not exist.
 
     Args:
         error: Error with the effects selected up to now.
@@ -207,18 +227,23 @@ def is_worth_searching_pairs(error: FitError, selected: int, criteria: Selection
 
 
 def is_worth_comparing_rivals(error: FitError, criteria: SelectionCriteria) -> bool:
-    """Return whether to compare rivals before the next step, because a wrong effect may be the only fault."""
+    """Return whether to compare the selected effects with their rivals before the next step of the search.
+
+    It is if the error with an observer (not in simulation) has a chi-squared per sample below 1.5
+    (`explained_chi2`): a rival in place of a wrong effect may then remove the rest.
+    """
     return not error.simulated and nearly_explains(error, criteria)
 
 
 def is_worth_narrower_observer(wider: FitError, simulated: FitError, criteria: SelectionCriteria) -> bool:
     """Return whether to search for effects with the next smaller observer bandwidth, at last in simulation.
 
-    The model must nearly explain the data with the present observer, while much error is left in simulation.
-    An error of a sensor that changes over the whole travel, for example, is too slow for all observers.
+    Chi-squared per sample must be below 1.5 (`explained_chi2`) with the present observer, but not in
+    simulation. An error of a sensor that changes over the complete travel, for example, is too slow for all
+    observers.
 
     Args:
-        wider: Error with the present observer.
+        wider: Error with the present observer; if this is a simulation, the result is False.
         simulated: Error of the same machine in simulation.
         criteria: Decision threshold `explained_chi2`.
     """

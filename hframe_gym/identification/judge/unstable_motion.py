@@ -31,36 +31,36 @@ class UnstableMotion:
 
 
 def is_unstable(enlarged: float, criteria: SelectionCriteria) -> bool:
-    """Return whether a motion is unstable: errors of the size of the noise grow beyond it in a simulation.
+    """Return whether a motion is unstable: a simulation more than doubles an error of the size of the noise.
 
     Args:
-        enlarged: Factor by which a simulation enlarges an error of the size of the noise, dimensionless.
-        criteria: Decision threshold `max_noise_ratio_explained`.
+        enlarged: Factor by which it enlarges such an error, dimensionless.
+        criteria: Decision threshold `max_noise_ratio_explained`, the 2.
     """
     return enlarged > criteria.max_noise_ratio_explained
 
 
 def largest_grown_error(motion: UnstableMotion, criteria: SelectionCriteria) -> float:
-    """Return the largest simulation error, in units of the noise, that an unstable motion alone may cause."""
+    """Return the largest simulation error, in units of the noise, that an unstable motion alone may cause.
+
+    It is twice (`max_noise_ratio_explained`) the factor by which the motion enlarges the noise.
+    """
     return criteria.max_noise_ratio_explained * motion.enlarged
 
 
 def predictions_explain(motion: UnstableMotion) -> bool:
-    """Return whether the predictions of an unstable motion are as good as those of an exact machine.
+    """Return whether predictions' squared error is at most 1.2 times (`AS_GOOD`) that of an exact machine.
 
-    In a stable motion, an error beyond the noise must be small in predictions and in simulation. Here
-    predictions are the only evidence, so that the limit is stricter: for a pendulum without its Stribeck
-    friction they leave 1.23 times the error of an exact machine, with it 0.97 times.
+    Predictions are the only evidence about an unstable motion, so the limit is stricter than elsewhere.
     """
     return motion.predicted <= AS_GOOD
 
 
 def explains_unstable_motion(left: float, motion: UnstableMotion | None, criteria: SelectionCriteria) -> bool:
-    """Return whether noise that grows along an unstable motion causes a simulation's error.
+    """Return whether noise that grows along an unstable motion causes the error of a simulation.
 
-    The predictions must confirm this. Such a machine is not replaced by a simpler one with a smaller
-    simulation error. If the error exceeds grown noise, the machine lacks something, which an observer must
-    not hide.
+    The motion must be unstable, the error at most `largest_grown_error`, and `predictions_explain` must hold:
+    if the error exceeds grown noise, the machine lacks something, which an observer must not hide.
 
     Args:
         left: Simulation error in units of the noise, dimensionless; not a number if the simulation diverges.

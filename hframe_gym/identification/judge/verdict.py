@@ -68,22 +68,22 @@ class VerdictEvidence:
 
     @property
     def remaining_simulation(self) -> float:
-        """Fraction of the squared simulation error, beyond the noise, that remains with the effects."""
+        """Fraction of the squared simulation error beyond the noise that remains with the effects."""
         return remaining(self.left**2, self.left_before**2, 1.0)
 
     @property
     def removes_enough(self) -> bool:
-        """Whether the effects remove what they should, or fall short of it by no more than their deviation.
+        """Whether the effects reduce the squared prediction error by what true effects of their size would.
 
-        Few independent pieces of a slow log determine this deviation, so that effects which fall short must
-        also remove more than chance.
+        The ratio `reduction` must be at least 1 / 1.2. If it exceeds what chance reaches
+        (`reduction_by_chance`), its standard deviation is added first.
         """
         short = self.reduction_std if self.reduction >= self.reduction_by_chance else 0.0
         return AS_GOOD * (self.reduction + short) >= 1.0
 
     @property
     def in_words(self) -> str:
-        """The remaining error as text, for the report."""
+        """The simulation error that is left on the held-out runs, as a clause for the report."""
         force = (
             f" and {100 * self.lacking:.2g} % of the drives' force are"
             if 0.0 < self.lacking < math.inf  # 0: less than the noise of the sensors shows
@@ -99,6 +99,8 @@ class VerdictEvidence:
 
 def remaining(after: float, before: float, floor: float) -> float:
     """Return the fraction of a squared error, beyond that of an exact machine, that remains with effects.
+
+    It is (`after` - `floor`) / (`before` - `floor`), where negative differences count as 0.
 
     Args:
         after: Mean squared error with the effects / noise variance, dimensionless.
@@ -118,16 +120,15 @@ def remaining(after: float, before: float, floor: float) -> float:
 def error_beyond_noise(motion: float, left: float) -> float:
     """Return the largest error that a machine may have beside the noise, relative to the motion.
 
-    It is the part of the squared error beyond the noise, but at least the margin within which two errors are
-    equally good, because the noise is not known more accurately. The many samples of an accelerometer show an
-    error far below the noise of a single sample.
+    The square of the result is the part of the squared error beyond the noise, but at least 1 - 1 / 1.2 of
+    the squared error, because the noise is not known more accurately than that.
 
     Args:
-        motion: Root mean square error, noise included, relative to that of the motion.
-        left: The same error in multiples of the noise.
+        motion: Root mean square error, noise included, as a fraction of the root mean square motion.
+        left: The same error in multiples of the noise, dimensionless.
 
     Returns:
-        Ratio to the motion, dimensionless, at most `motion`.
+        Fraction of the motion, dimensionless, at most `motion`.
     """
     part = max(1.0 - 1.0 / left**2, 1.0 - 1.0 / AS_GOOD) if left > 0.0 else 1.0
     return motion * math.sqrt(part)
@@ -136,10 +137,13 @@ def error_beyond_noise(motion: float, left: float) -> float:
 def contradiction_of_no_effect(evidence: VerdictEvidence, criteria: SelectionCriteria) -> str:
     """Return why the held-out runs contradict the verdict "no_effect", or "" if they do not.
 
-    In a log slower than its controller, the simulation error is compared with that of noise and unknown
-    voltages, whose size is known within a factor of two. If the motion is unstable, it is compared with what
-    an error of the size of the noise grows to. Predictions, in which neither adds up, must be explained as
-    well.
+    They contradict it in three cases:
+
+    - The simulation error exceeds twice the noise (`max_noise_ratio_explained`), in a log slower than its
+      controller four times, along an unstable motion `largest_grown_error`.
+    - Predictions are not explained: along an unstable motion by `predictions_explain`, in a log slower than
+      its controller with a chi-squared per sample of 1.5 (`explained_chi2`) or more.
+    - What the noise may hide, `error_beyond_noise`, exceeds 10 % (`max_motion_error`) of the motion.
 
     Args:
         evidence: What the held-out runs say. The refitted machine, which is the one of this verdict, is taken
@@ -147,7 +151,7 @@ def contradiction_of_no_effect(evidence: VerdictEvidence, criteria: SelectionCri
         criteria: Decision thresholds `max_noise_ratio_explained`, `explained_chi2` and `max_motion_error`.
 
     Returns:
-        A clause.
+        A clause with the error and its limit, or "".
     """
     motion, left, unstable = evidence.motion, evidence.left, evidence.unstable
     explained = criteria.max_noise_ratio_explained * (1.0 if evidence.voltages_known else SIZE_OF_VOLTAGES)
@@ -179,12 +183,14 @@ def contradiction_of_no_effect(evidence: VerdictEvidence, criteria: SelectionCri
 
 
 def fault_of_fitted_runs(error: FitError, left: float, criteria: SelectionCriteria) -> str:
-    """Return why a machine without effects explains the held-out runs and not the fitted ones.
+    """Return why a machine without effects explains the held-out runs, but not the fitted ones.
 
-    Where both have an error, that of the held-out runs says enough.
+    The held-out runs are explained if they leave at most twice the noise (`max_noise_ratio_explained`). The
+    fitted ones are not if their chi-squared per sample is at least 1.5 (`explained_chi2`), or if they need
+    the widest observer, which hides forces of any size.
 
     Args:
-        error: Error of the fitted runs.
+        error: Error of the fitted runs with the most likely observer.
         left: Simulation error of the held-out runs, in multiples of the noise, rms over channels.
         criteria: Decision thresholds `max_noise_ratio_explained` and `explained_chi2`.
 
@@ -211,9 +217,16 @@ def fault_of_fitted_runs(error: FitError, left: float, criteria: SelectionCriter
 def contradiction_of_names(evidence: VerdictEvidence, explained: bool, criteria: SelectionCriteria) -> str:
     """Return why the held-out runs do not permit naming the effects, or "" if they do.
 
-    Effects are named in three cases: they leave hardly more than noise; what they leave is small compared
-    with what they explain; or it has another cause (unknown voltages, a slow force) and they remove as much
-    as effects of their size must.
+    Names are permitted in three cases:
+
+    - The simulation leaves no more than twice the noise (`max_noise_ratio_explained`).
+    - The rest has another cause, and the effects remove what effects of their size must (`removes_enough`).
+      The other cause is unknown voltages if the fitted runs are explained; otherwise it is a slow force,
+      beside effects that act where the missing force comes from and leave no more than 25 %
+      (`max_partial_excess`) of the error with the widest observer.
+    - They leave a small fraction of the squared prediction error. If the fitted runs are explained, this is
+      half, and the same fraction in simulation suffices unless the motion is unstable. Otherwise it is 25 %
+      if the effects act where the missing force comes from, else 3 % (`max_remaining`).
 
     Args:
         evidence: Evidence of the held-out runs.
@@ -222,7 +235,7 @@ def contradiction_of_names(evidence: VerdictEvidence, explained: bool, criteria:
         criteria: Decision thresholds `max_noise_ratio_explained`, `max_remaining` and `max_partial_excess`.
 
     Returns:
-        A clause.
+        A clause with the remaining error and its limit, or "".
     """
     if evidence.left <= criteria.max_noise_ratio_explained:
         return ""
@@ -276,7 +289,10 @@ class PartialEvidence:
 
 
 def explains_most(evidence: PartialEvidence, criteria: SelectionCriteria) -> bool:
-    """Return whether effects remove most, but not all, of the error beyond the noise.
+    """Return whether effects remove most of the error beyond the noise: they leave less than 25 % of it.
+
+    It suffices that one of two errors falls below this fraction (`max_partial_excess`): the excess with the
+    widest observer, or the root mean square error beyond the noise in simulation.
 
     Args:
         evidence: Errors with and without effects.
@@ -318,14 +334,18 @@ def verdict_of_rest(
     evidence: Callable[[], PartialEvidence],
     criteria: SelectionCriteria,
 ) -> tuple[Verdict, str]:
-    """Return the verdict if neither effects nor a table explain the data, and why effects are removed or "".
+    """Return the verdict if neither effects nor a table explain the data, and why the effects are removed.
+
+    "effect_found" with "" if there are effects, separate values in each run do not explain the runs, and
+    either unknown voltages may cause the rest or the effects remove most of the error (`explains_most`).
+    Otherwise "unexplained" with the reason for removing the effects, a clause that follows "it ".
 
     Args:
         any_effect: Whether effects passed all tests.
         runs_differ: Function that returns whether another value of a parameter in each run explains the runs,
             as no effect can.
         voltages_may_cause: Whether unknown voltages between the rows may cause all that is left. The held-out
-            runs then judge the effects by what they remove.
+            runs then test the effects by what they remove.
         evidence: Function that returns the errors with and without effects.
         criteria: Decision threshold `max_partial_excess`.
     """
@@ -338,9 +358,10 @@ def verdict_after_removal(verdict: Verdict, any_effect: bool, refitted_explains:
     """Return the verdict after the held-out runs have removed effects.
 
     Args:
-        verdict: Verdict of the search.
+        verdict: Verdict of the search, which stays if effects are left.
         any_effect: Whether effects are left.
-        refitted_explains: Whether the refitted machine explains the fitted runs.
+        refitted_explains: Whether the refitted machine explains the fitted runs. Without effects, the verdict
+            is then "no_effect", else "unexplained".
     """
     if any_effect:
         return verdict
@@ -348,10 +369,11 @@ def verdict_after_removal(verdict: Verdict, any_effect: bool, refitted_explains:
 
 
 def final_verdict(verdict: Verdict, *, any_effect: bool) -> Verdict:
-    """Return the verdict of the report, in which a saturated sensor also counts as an effect.
+    """Return the verdict of the report: "effect_found" in place of "no_effect" if a sensor saturates.
 
     Args:
-        verdict: Verdict of the search and of the held-out runs.
+        verdict: Verdict of the search and of the held-out runs, which does not count saturated sensors as
+            effects.
         any_effect: Whether the corrected machine has effects, those of saturated sensors included.
     """
     return "effect_found" if any_effect and verdict == "no_effect" else verdict

@@ -39,8 +39,8 @@ class UpdatesEvidence:
 def may_change_between_rows(successive: float) -> bool:
     """Return whether the commands of a log may come from a controller that is faster than the log.
 
-    They may not if they rest between their changes: a controller does not compute such a command more often
-    than it is logged. To interpolate its steps only moves them, as a shorter delay does.
+    They may if more than half (`ROW_AFTER_ROW`) of their changes follow a change in the row before. Commands
+    that rest between their changes, such as steps, are computed no more often than they are logged.
 
     Args:
         successive: Fraction of the changes of the commands that follow a change in the row before,
@@ -52,12 +52,12 @@ def may_change_between_rows(successive: float) -> bool:
 def commands_are_held_over_gaps(held: Array, interpolated: Array) -> bool:
     """Return whether commands that rest between their changes keep their last value in the gaps of a log.
 
-    They do if the controller was late, so that it neither computed nor logged anything. If only the logger
-    was late, they changed somewhere in the gap, and a straight line over the gap is right on average.
-    Recorded rows cannot distinguish the two cases; the motion after the gaps does.
+    They do if this leaves the smaller cost, summed over the runs: the controller was then late, and neither
+    computed nor logged anything. If only the logger was late, they changed somewhere in the gap, and a
+    straight line over it is right on average.
 
     Args:
-        held: Cost of each run with commands that are held over its gaps, shape (runs,).
+        held: Cost of each run with commands that are held over its gaps, dimensionless, shape (runs,).
         interpolated: The same with commands that are interpolated linearly, shape (runs,).
     """
     return bool(held.sum() < interpolated.sum())
@@ -66,9 +66,8 @@ def commands_are_held_over_gaps(held: Array, interpolated: Array) -> bool:
 def replaces_held_commands(estimated: FitError, held: FitError) -> bool:
     """Return whether estimated voltages replace commands that are held over the gaps of a run.
 
-    A held command is known, and an estimate only adapts to what the machine lacks: a joint whose commands
-    were 0.1 and 0.2 Nm seemed to have -0.7 Nm between them. The estimate must therefore leave far less of the
-    motion, as it does if a step lies within a gap.
+    They do if they leave less than half (`CLEAR`) of the excess, as they do if a step lies within a gap. A
+    held command is known, and an estimate otherwise only adapts to what the machine lacks.
 
     Args:
         estimated: Error of the run with estimated voltages.
@@ -80,10 +79,9 @@ def replaces_held_commands(estimated: FitError, held: FitError) -> bool:
 def voltages_change_between_rows(evidence: UpdatesEvidence, criteria: SelectionCriteria) -> bool:
     """Return whether the voltages change between the rows, instead of being held.
 
-    Two conditions must hold. Beyond what noise and unknown voltages cause, held voltages leave clearly more
-    error, in most runs. And changing voltages reduce the error itself, although interpolation adds an error
-    of its own. If the voltages are really held, interpolation adds much more and reduces nothing: so on
-    eleven rigs, and by 1.4 % only on one whose machine lacked an effect.
+    Changing voltages must reduce chi-squared per sample by `min_gain` (0.01), although interpolation adds an
+    error of its kind; the excess with held voltages must be more than 1.2 times (`AS_GOOD`) as large; and the
+    error must fall in more than half of the runs.
 
     Args:
         evidence: Errors with held and with changing voltages.
@@ -97,10 +95,13 @@ def voltages_change_between_rows(evidence: UpdatesEvidence, criteria: SelectionC
 def voltages_change_at_another_rate(delay: float, deviation: float) -> bool:
     """Return whether interpolated voltages may change more or less often per row than a search has assumed.
 
+    They may if their delay differs from that of the assumed number by more than 3.3 (`CLEAR_DELAY`) standard
+    deviations.
+
     Args:
         delay: Delay of the voltages beyond that of the assumed number, in sampling periods, dimensionless.
-        deviation: Standard deviation of this delay, the accuracy of the times of recordings included,
-            dimensionless.
+        deviation: Standard deviation of this delay, in sampling periods, the accuracy of the times of
+            recordings included, dimensionless.
     """
     return abs(delay) > CLEAR_DELAY * deviation
 
@@ -108,11 +109,11 @@ def voltages_change_at_another_rate(delay: float, deviation: float) -> bool:
 def another_rate_explains_more(present: FitError, other: FitError, criteria: SelectionCriteria) -> bool:
     """Return whether to search again with another number of voltage changes per row.
 
-    It follows a clear difference between the assumed and the estimated delay of the voltages. A missing
-    effect, such as the inductance of a motor, also changes this delay. If the unknown voltages cannot cause
-    all of the remaining error, the other number must therefore reduce the error by as much as an effect must.
-    If they can, it only must not raise the error by as much, because the error is then less accurate than the
-    delay and prefers too many changes.
+    It is called when the estimated delay of the voltages differs clearly from the assumed one. If unknown
+    voltages may cause all of the present error (`voltages_may_cause`), the other number must not raise
+    chi-squared per sample by `min_gain` or more: the error is then less accurate than the delay, and prefers
+    too many changes. Otherwise it must reduce it by `required_gain`, as an effect must, because a missing
+    effect, such as the inductance of a motor, also changes the delay.
 
     Args:
         present: Error of a fit with the present number of changes.
@@ -127,8 +128,9 @@ def another_rate_explains_more(present: FitError, other: FitError, criteria: Sel
 def drives_delay_voltages(counted: FitError, delayed: FitError, criteria: SelectionCriteria) -> bool:
     """Return whether voltages act later due to a delay or lag of the drives, not to fewer changes per row.
 
-    If fewer changes explain the data as well, there is no delay. If unknown voltages cannot cause all of the
-    remaining error, a missing effect may cause the delay; the result is then False.
+    The delay of the drives must reduce chi-squared per sample by `required_gain` beyond what fewer changes
+    leave, and unknown voltages must be able to cause all of its remaining error (`voltages_may_cause`):
+    otherwise a missing effect may cause the delay.
 
     Args:
         counted: Error with the number of changes whose delay is closest to the estimated one.
@@ -143,8 +145,9 @@ def drives_delay_voltages(counted: FitError, delayed: FitError, criteria: Select
 def interpolation_suffices(simulated: Array) -> bool:
     """Return whether interpolated voltages simulate a machine as well as known ones would.
 
-    Set points of a planner are smooth between the rows; the voltages of a controller that answers noise are
-    not.
+    They do if the mean square error of each sensor grows by less than a factor of 1.2 (`AS_GOOD`) over its
+    noise. Set points of a planner are smooth between the rows; the voltages of a controller that answers
+    noise are not.
 
     Args:
         simulated: Simulation errors that the interpolation causes, in units of the noise of each sensor,
