@@ -156,15 +156,19 @@ def _with_covariance(fitted: Fit, covariance: Array) -> Machine:
 
 
 def student_widening(information: Array, estimator: Array) -> Array:
-    """Return the factor, at least 1, by which a small number of blocks widens 95 % intervals, shape (k,).
+    """Return the factor by which standard deviations grow because few blocks of samples determine them.
 
-    The degrees of freedom are the effective number of blocks that determine a parameter (Satterthwaite).
+    It is the 97.5 % quantile of Student's t / that of the normal distribution, for the effective number of
+    blocks that determine a parameter (Satterthwaite).
 
     Args:
-        information: Fisher information in each block of samples, of the k parameters or of amounts along k
-            directions, dimensionless, shape (blocks, k, k).
+        information: Fisher information in each block, of the k parameters or of amounts along k directions,
+            dimensionless, shape (blocks, k, k).
         estimator: Change of the estimate by a change of half the gradient of the cost (J^T r), dimensionless,
             shape (k, k).
+
+    Returns:
+        Factors, dimensionless, at least 1, shape (k,).
     """
     variances = np.einsum("jm,bmn,jn->bj", estimator, information, estimator, optimize=True)  # by each block
     effective = np.sum(variances, axis=0) ** 2 / np.maximum(np.sum(variances**2, axis=0), 1e-300)
@@ -195,15 +199,17 @@ def _directions(fitted: Fit, data: Dataset, prior: Array) -> Array:
 
 
 def principal_directions(information: Array, prior: Array) -> Array:
-    """Return the principal axes of the posterior of theta, in the metric of the prior.
+    """Return changes of theta along the principal axes of its posterior, as long as one standard deviation.
+
+    The axes are orthogonal in the metric of the prior's precision.
 
     Args:
-        information: Fisher information of theta, which need not be accurate, shape (k, k).
-        prior: Precision of the prior of theta, shape (k, k).
+        information: Fisher information of theta, which need not be accurate, dimensionless, shape (k, k).
+        prior: Precision (inverse covariance) of the prior of theta, dimensionless, shape (k, k).
 
     Returns:
-        Directions, one per column, shape (k, k); each as long as one standard deviation, or shorter where the
-        residual would not be linear over that length.
+        Directions, dimensionless, one per column, shape (k, k). One that changes a theta too much for a
+        linear residual is shortened.
     """
     root = np.linalg.cholesky(np.linalg.inv(prior))
     eigenvalues, axes = np.linalg.eigh(root.T @ information @ root)

@@ -91,7 +91,7 @@ class Fit:
 
     @property
     def error(self) -> FitError:
-        """The error of the fit, in the form that decisions use."""
+        """Cost, number of values, observer and floor of the fit, as the rules of `judge` compare them."""
         widest = self.bandwidth >= SEARCH_BANDWIDTH
         return FitError(self.cost, self.count, self.bandwidth, widest, self.floor)
 
@@ -102,7 +102,7 @@ class Fit:
 
     @property
     def summary(self) -> str:
-        """Chi-squared per sample and kind of prediction, for the log."""
+        """Text for the log, such as "chi-squared per sample 1.23 (observer of 60 rad/s)"."""
         return f"chi-squared per sample {self.chi2:.4g} ({self.mode})"
 
     @property

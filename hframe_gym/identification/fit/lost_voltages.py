@@ -69,10 +69,12 @@ class LostVoltages(NamedTuple):
 def with_lost_voltages(machine: Machine, data: Dataset, held_out: Dataset, log: LineLog) -> LostVoltages:
     """Estimate the voltages in rows that the logger dropped, with a machine fitted to the fitted runs.
 
+    Machine and voltages are estimated in turn, until the voltages hardly change.
+
     Args:
         machine: Machine as declared.
         data: Runs to fit.
-        held_out: Runs that are not fitted.
+        held_out: Runs that are not fitted; their voltages follow from the same machine.
         log: Called with a line of text if voltages are estimated, and if they are held over gaps.
 
     Returns:
@@ -96,7 +98,10 @@ def with_lost_voltages(machine: Machine, data: Dataset, held_out: Dataset, log: 
 
 
 def held_over_gaps(data: Dataset) -> Dataset:
-    """Copy a data set so that commands keep their last recorded values in dropped rows."""
+    """Copy a data set so that commands keep the value of the last recorded row in dropped rows.
+
+    Elsewhere such commands are interpolated.
+    """
     return dataclasses.replace(data, runs=tuple(_bridged(run, held=True) for run in data.runs))
 
 

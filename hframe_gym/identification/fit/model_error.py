@@ -51,10 +51,13 @@ def search_step(bandwidth: float, data: Dataset) -> float:
 
 
 def bandwidths_for(data: Dataset) -> tuple[float, ...]:
-    """Return the bandwidths of observers that suit a data set, rad/s, descending; 0 is a simulation.
+    """Return the observer bandwidths at which a data set can be fitted, rad/s, descending.
+
+    They are 60, 30, 15, 7, 3 and 0, a simulation; for interpolated voltages, whose errors add up below, only
+    those from 15 on.
 
     Args:
-        data: Runs to fit. Errors of interpolated voltages add up in a simulation; they need an observer.
+        data: Runs to fit.
     """
     if not data.has_voltage_errors:
         return BANDWIDTHS

@@ -132,27 +132,27 @@ class PlainFit:
 
     @property
     def simulated(self) -> Fit:
-        """The output-error fit with all terms that the runs determine."""
+        """The output-error fit (a simulation) with all terms that the runs show: the last of `fits`."""
         return self.fits[-1]
 
     @property
     def simpler(self) -> tuple[PlainFit, ...]:
-        """Plain fits with fewer terms, from none upward."""
+        """Plain fits with fewer terms than this one, that without terms first."""
         return tuple(PlainFit(self.start, (fit,), seconds=self.seconds) for fit in self.fits[:-1])
 
     @property
     def extended(self) -> tuple[PlainFit, ...]:
-        """Plain fits with uncertain terms in addition, the fewest first."""
+        """Plain fits with this fit's terms and uncertain ones in addition, the fewest first."""
         return tuple(PlainFit(self.start, (fit,), seconds=self.seconds) for fit in self.uncertain)
 
     @property
     def machine(self) -> Machine:
-        """Machine of the output-error fit."""
+        """Machine of the output-error fit with all terms."""
         return self.simulated.machine
 
     @property
     def terms(self) -> tuple[str, ...]:
-        """Labels of the fitted terms beside inertia and friction, such as a constant force."""
+        """Labels, name@site, of the fitted constant force, weight and input delay; not declared ones."""
         declared = {e.label for e in self.start.effects}
         return tuple(e.label for e in self.machine.effects if e.label not in declared)
 
@@ -160,10 +160,11 @@ class PlainFit:
 def plain_fit(machine: Machine, data: Dataset, budget: Budget | None = None) -> PlainFit | None:
     """Fit inertia, viscous and dry friction, and, if it helps, a constant force, a weight and an input delay.
 
-    Machines with belts are not refined in simulation: their rigid motion says nothing about belts.
+    A term is kept if at most one of 100 that do not exist removes as much of the error by chance. Machines
+    with belts are not refined in simulation: their rigid motion says nothing about belts.
 
     Args:
-        machine: Machine as declared.
+        machine: Machine as declared; it supplies the structure, the unit of force and declared effects.
         budget: Budget of the identification; the fit ends with its best parameters after its part of the
             budget. Default: no limit.
 
@@ -654,15 +655,17 @@ def better_start(machine: Machine, data: Dataset, plain: PlainFit | None) -> Mac
 
 
 def outside_limits(declared: Machine, machine: Machine) -> tuple[str, ...]:
-    """Return the names of parameters that a refit from the declared values could not reach.
+    """Return the names of parameters whose values a refit from the declared ones could not reach.
+
+    A refit keeps each parameter within limits around its declared value (`FreeParameter.theta_limits`).
+    Friction below its lower limit does not count, because it is small in any case.
 
     Args:
         declared: Machine as declared.
         machine: Machine with other values.
 
     Returns:
-        Full names of the parameters whose values lie outside the permitted range. Friction below its range
-        does not count, because it is small in any case.
+        Full names such as "x.mass".
     """
     names = []
     for parameter in default_free_parameters(declared):

@@ -114,17 +114,17 @@ class RunDifferences(NamedTuple):
 
     @property
     def differs(self) -> bool:
-        """Whether the quantity differs between the runs; otherwise all runs need the same other value."""
+        """Whether the values of the runs differ; if not, all runs need the same other value."""
         return judge.amounts_differ(list(self.amounts.values()), self.shared)
 
     @property
     def drifts(self) -> bool:
-        """Whether the amounts rise, or fall, steadily from run to run, as in a slow change."""
+        """Whether the amounts only rise, or only fall, from run to run, as in a slow change."""
         return judge.amounts_drift(list(self.amounts.values()))
 
     @property
     def different_run(self) -> str | None:
-        """Name of the run, if only one differs from all others; else None."""
+        """Name of the run, if only one needs another value of the quantity than all others; else None."""
         return judge.different_run(self.amounts)
 
     def __str__(self) -> str:

@@ -92,19 +92,19 @@ def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: 
 
 
 def start_for_observer(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
-    """Return the start from which a prediction with an observer (60 rad/s) needs smaller corrections.
+    """Return the start from which a prediction with the widest observer (60 rad/s) has the smaller error.
 
-    It is the measured state, or a state displaced by what the prediction makes most probable, to first order.
-    The most probable start of a simulation would take much longer, and is worse for a machine that lacks
-    much, because its simulation drifts.
+    Two are compared: the measured state, and this state displaced by what the prediction makes most probable,
+    to first order. The most probable start of a simulation would take much longer, and is worse for a machine
+    that lacks much, because its simulation drifts.
 
     Args:
         run: Run to predict, n samples.
         data: Data set of the run, for the sampling period and the sensors' quantization steps.
 
     Returns:
-        Positions (m, rad), velocities (m/s, rad/s), effect states (SI),
-        shape (2 * coordinates + effect states,).
+        Positions (m, rad), velocities (m/s, rad/s), effect states (SI), shape (2 * coordinates + effect
+        states,).
     """
     start = uncertain_starts(machine, [run])[run.name]
     if not len(start.displacements):

@@ -76,7 +76,7 @@ class VoltageUpdates(NamedTuple):
     fitted: float
 
     def describe(self, commands: str, period: float) -> str:
-        """Describe the voltage changes between rows in a sentence for the user, without a full stop.
+        """Return a clause for the user: how often voltages change, and chi-squared with and without.
 
         Args:
             commands: Name of the inputs, such as "voltages" (`Machine.commands_in_words`).
@@ -90,9 +90,10 @@ class VoltageUpdates(NamedTuple):
 
 
 def describe_interpolation(machine: Machine, data: Dataset) -> str:
-    """Describe for the user how accurate interpolated voltages are, and how to get better ones.
+    """Return a clause for the user about interpolated voltages.
 
-    The text has no full stop.
+    It says that simulations err less by them than by noise (`judge.voltages.interpolation_suffices`);
+    otherwise that they err more, and what to log in future.
 
     Args:
         machine: Machine, refitted to these runs.
@@ -205,7 +206,7 @@ def _with_fewest_changes(delayed: Fit, data: Dataset, criteria: SelectionCriteri
 def number_with_clear_gains(
     start: Fit, number: int, most: int, again: Callable[[Fit, int, float], Fit], criteria: SelectionCriteria
 ) -> tuple[int, Fit]:
-    """Double the number of voltage changes per row while this clearly reduces the error.
+    """Double the number of voltage changes per row while each doubling reduces the error by `required_gain`.
 
     If the first doubling does not, halve the number in the same way, down to 2.
 
@@ -279,9 +280,9 @@ def _delays_all_drives(machine: Machine) -> bool:
 
 
 def is_timing(effect: Effect) -> bool:
-    """Return whether an effect delays the voltages, or lets the currents lag behind them.
+    """Return whether an effect delays the voltages, or lets currents lag behind them (inductance).
 
-    Effects of heat or of a sagging supply also change currents, but the current follows the voltage at once.
+    Effects of heat or of a sagging supply, whose current follows the voltage at once, are not among them.
     """
     lags = effect.current is not None and effect.next_state is not None
     return effect.delay is not None or (lags and "i" not in argument_names(effect.current))
@@ -296,12 +297,13 @@ def count_updates(fitted: Fit, data: Dataset, excess: ExcessDelay | None = None)
     error of the next row.
 
     Args:
+        fitted: Fit of a machine to these runs.
         data: Runs with an assumed number of changes, at least 2.
         excess: Delay beyond that of the assumed number, if it is already known.
 
     Returns:
-        The number, from 2 to `most_updates`, whose delay is closest to the estimated one; the assumed number
-        if the delay cannot be estimated.
+        The number, from 2 to `most_updates`, whose delay agrees best with the estimated one
+        (`number_with_least_excess`); the assumed number if the delay cannot be estimated.
     """
     most = most_updates(data)
     if most <= _FEWEST_UPDATES:
@@ -318,7 +320,11 @@ def number_with_least_excess(
 ) -> int:
     """Return the number of voltage changes per row whose delay agrees best with the estimated delay.
 
-    With the right number, the voltages act neither later nor earlier than assumed: the excess delay is 0.
+    With the right number n, the voltages act neither later nor earlier than 1 / (2 n) sampling periods: the
+    excess delay is 0. The number whose delay is nearest to the estimate, then the one beside the present
+    number in its direction, is accepted if its excess delay is smaller; this is repeated until neither is. If
+    the excess still differs from 0 by 3.3 standard deviations, the number is halved or doubled until its sign
+    changes, and bisected.
 
     Args:
         number: Assumed number of changes per row, at least 2.
@@ -394,9 +400,13 @@ def _number_with_delay(periods: float, fewest: int, most: int) -> int:
 def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> VoltageUpdates:
     """Determine whether, and how often, the voltages change from one row of a log to the next.
 
+    Fits with held voltages and with 2, 4, 8 and 16 changes a row are compared
+    (`judge.voltages.voltages_change_between_rows`); if changing voltages are better, `count_updates` finds
+    their number. If they are not, both are compared once more beside a delay of the drives.
+
     Args:
-        fitted: Fit of a machine to the runs with held voltages. All fits of the comparison have its observer,
-            but one of at least 15 rad/s (`NARROWEST_WITH_VOLTAGE_ERRORS`).
+        fitted: Fit of a machine to the runs with held voltages. The fits that are compared have its observer,
+            or one of 15 rad/s if that is narrower.
         data: The runs.
         criteria: Decision thresholds for the reduction of the error.
 
@@ -469,8 +479,8 @@ def _change(held: Fit, changing: Fit, data: Dataset, criteria: SelectionCriteria
 def can_show_updates(data: Dataset) -> bool:
     """Return whether the motion can show that voltages change between the rows of a log.
 
-    The rows must be several integration steps apart (`most_updates` is above 1), and the inputs must not rest
-    between their changes (`judge.voltages.may_change_between_rows`).
+    It can if the rows are at least two integration steps apart (`most_updates` is above 1), and the inputs
+    change in row after row (`judge.voltages.may_change_between_rows`).
     """
     return most_updates(data) > 1 and may_change_between_rows(successive_changes(data))
 
@@ -491,9 +501,10 @@ def most_updates(data: Dataset) -> int:
 
 
 def successive_changes(data: Dataset) -> float:
-    """Return the fraction of the input changes that follow a change in the row before.
+    """Return the fraction of the changes of the inputs that follow a change in the row before, dimensionless.
 
-    Dropped rows, whose inputs are unknown, are not counted. It is 0 if the inputs never change.
+    A change is a row in which any input differs from the row before. Dropped rows, whose inputs are unknown,
+    are not counted. The result is 0 if the inputs never change.
     """
     changes, successive = 0, 0
     for run in data.runs:

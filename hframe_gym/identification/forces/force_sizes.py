@@ -88,7 +88,14 @@ def drive_force(machine: Machine, data: Dataset) -> float:
 
 
 def force_size(force: Array) -> float:
-    """Return the root mean square magnitude of `force`, N, one vector per row, shape (n, coordinates)."""
+    """Return the root mean square magnitude of forces.
+
+    Args:
+        force: Forces at the belt, N, shape (n, coordinates); each row is one vector.
+
+    Returns:
+        Magnitude, N.
+    """
     return float(np.sqrt(np.mean(np.sum(force**2, axis=1))))
 
 

@@ -95,7 +95,8 @@ class MissingMotion(NamedTuple):
 def missing_motions(machine: Machine, data: Dataset) -> list[MissingMotion]:
     """Estimate, for each run, the force that the model lacks and the disagreement of the sensors.
 
-    Each comes with the part that noise causes.
+    Both are given along the rigid motions of the machine and in combinations of the sensors that no rigid
+    motion changes, together with the part that noise causes.
 
     Returns:
         Forces, N or Nm, disagreements and motion, arrays of shape (n, ...), one entry per run of n samples.

@@ -102,14 +102,18 @@ def variables_of_motion(
 
 
 def motor_variable(drive: Drive) -> Literal["current", "torque"]:
-    """Return what is known of a drive's motor: of servos, steppers and torque drives, the torque."""
+    """Return which variable of a drive's motor is known.
+
+    It is "current" if the drive's command is a voltage or a current, else "torque".
+    """
     return "current" if drive.command in ("voltage", "current") else "torque"
 
 
 def smooth_sign(velocity: Array) -> Array:
-    """Return the direction of a `velocity`, m/s or rad/s, shape (n,): near -1 or 1, between them where slow.
+    """Return the direction of a `velocity`, m/s or rad/s, as numbers from -1 to 1, shape (n,).
 
-    Slow is below a few percent of the root mean square velocity. All values are 0 if nothing moves.
+    It is near -1 or 1, and between them below a few percent of the root mean square velocity. All values are
+    0 if nothing moves.
     """
     slow = _SLOW * float(np.sqrt(np.mean(velocity**2)))
     return velocity / (np.abs(velocity) + slow) if slow > 0.0 else np.zeros_like(velocity)

@@ -56,8 +56,8 @@ def contradicts(run: HeldOutRun) -> bool:
     """Return whether a held-out run contradicts the machine that explains the fitted runs.
 
     It does if its chi-squared per sample is more than 10 times (`FAR`) that of the fitted runs or of the
-    noise, whichever is larger. It does not if one effect, or all together, more than double its squared error:
-    then the effects are wrong, not the run.
+    noise, whichever is larger. It does not if one effect, or all together, more than double its squared
+    error: then the effects are wrong, not the run.
 
     Args:
         run: What the run shows.
@@ -162,8 +162,8 @@ def explains_by_run(by_run: FitError, common: FitError, criteria: SelectionCrite
 def amounts_differ(amounts: Sequence[float], shared: float) -> bool:
     """Return whether a quantity differs between runs: by more than 10 % (`EQUAL`) of its mean.
 
-    Otherwise all runs need the same value, another one than declared. The amount of a run is what its
-    quantity exceeds the machine's value by, in any unit, the same for all runs.
+    Otherwise all runs need the same value, another one than the machine's. An amount is the dimensionless
+    change of the quantity from the machine to the run (`run_differences.Quantity`).
 
     Args:
         amounts: Amount of each run minus the smallest, dimensionless.

@@ -302,10 +302,9 @@ def typical_force(machine: Machine) -> float:
 
 
 def rated_force(machine: Machine) -> float:
-    """Return the force of all drives together at standstill and rated voltage.
+    """Return the sum of the forces of all drives at standstill and rated voltage, N.
 
-    Returns:
-        Force at the belt (torque / pulley radius for a rotary coordinate), N.
+    A force acts at the belt: torque / pulley radius for a rotary coordinate.
     """
     total = 0.0
     for drive in machine.drives:  # drive.gain: force or torque per volt at standstill
@@ -383,9 +382,13 @@ def _length_changes(belt: Belt, machine: Machine) -> bool:
 
 
 def coupled_coordinates(machine: Machine) -> dict[str, set[str]]:
-    """Return, for each coordinate, the names of those between which forces act, with its own.
+    """Return the group of each coordinate: itself and all coordinates that forces connect to it.
 
-    A common factor of all forces, masses and torque constants of such a group leaves its motion unchanged.
+    Belts and effects that act on two coordinates connect them. A common factor of all forces, masses and
+    torque constants of a group leaves its motion unchanged.
+
+    Returns:
+        Names of the coordinates of the group, by name of the coordinate.
     """
     links = [set(belt.extension) for belt in machine.belts]
     links += [

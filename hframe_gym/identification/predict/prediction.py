@@ -176,8 +176,8 @@ def whitened(residual: Array, run: PreparedRecording, bandwidth: float) -> Array
         bandwidth: Bandwidth of the observer, rad/s.
 
     Returns:
-        Residuals of the same shape; the given ones if the voltages are held, or if the observer is too
-        narrow.
+        Residuals of the same shape; the given ones if the voltages are held, or below 15 rad/s
+        (`NARROWEST_WITH_VOLTAGE_ERRORS`), where these errors add up.
     """
     bandwidth = run.bandwidth(bandwidth)
     if run.voltage_errors is None or bandwidth < NARROWEST_WITH_VOLTAGE_ERRORS:

@@ -66,7 +66,10 @@ _DRAWS = 8  # of voltage errors, for their effect on simulations: their rms is 1
 
 
 def interpolation_variance(inputs: Array) -> Array:
-    """Estimate the error variance of mean voltages between rows that are interpolated from the rows.
+    """Estimate the error variance of the mean voltage from each row to the next, if rows are interpolated.
+
+    It is 0.021 times the mean square of the third differences of the rows, over the nine rows around. Of
+    voltages that move smoothly, these differences are 0.
 
     Args:
         inputs: Voltages in the rows, V, shape (n, drives).
@@ -120,10 +123,10 @@ def with_voltage_errors(machine: Machine, data: Dataset) -> Dataset:
 def expected_excess(machine: Machine, data: Dataset, bandwidth: float) -> float:
     """Return the chi-squared per sample that errors of interpolated voltages add for an exact machine.
 
-    It is dimensionless, and 1 if these errors are as large as the noise.
+    It is dimensionless, 1 if these errors are as large as the noise.
 
     Args:
-        machine: Machine, refitted to these runs.
+        machine: Machine, refitted to these runs, whose predictions respond to the errors.
         data: Runs whose voltages change between the rows.
         bandwidth: Bandwidth of the observer, rad/s.
     """
@@ -136,6 +139,9 @@ def expected_excess(machine: Machine, data: Dataset, bandwidth: float) -> float:
 
 def simulation_error(machine: Machine, data: Dataset) -> Array:
     """Return the error that interpolated voltages cause in simulations, root mean square over the runs.
+
+    Each run is simulated with eight random draws of these errors and compared with the simulation without
+    them.
 
     Args:
         machine: Machine that is simulated.
@@ -190,11 +196,13 @@ class Whitening(NamedTuple):
 
     @classmethod
     def of(cls, responses: sparse.csr_array, variance: Array) -> Whitening:
-        """Compute the whitening filter for a residual of n rows, shape (n * sensors,).
+        """Compute the whitening filter for a residual of n rows, shape (n * sensors,), of an exact machine.
+
+        Its covariance is that of the observer's innovations, plus `responses` times its transpose.
 
         Args:
-            responses: Change of the residual by errors of one standard deviation,
-                shape (n * sensors, errors).
+            responses: Change of the residual by errors of one standard deviation, dimensionless, shape (n *
+                sensors, errors).
             variance: Variance of the innovations of each sensor, dimensionless, shape (sensors,).
         """
         sensors = len(variance)
@@ -260,7 +268,11 @@ def _covariances(responses: sparse.csr_array, variance: Array, first: int, block
 
 
 class InterpolationErrors(VoltageErrors):
-    """Errors of the interpolated voltages of a run, and their influence on the residual."""
+    """Errors of the interpolated voltages of a run, and their influence on the residual.
+
+    The errors are those of the mean voltage of each drive from a row to the next, with the standard
+    deviations of `mean_voltage_variance`.
+    """
 
     def __init__(self, machine: Machine, run: PreparedRecording, data: Dataset) -> None:
         # Pulses last from row to row: the response is that of held voltages.
@@ -272,7 +284,17 @@ class InterpolationErrors(VoltageErrors):
 
     @override
     def whiten(self, residual: Array, bandwidth: float) -> Array:
-        """Whiten residuals without what unknown zeros explain; NaN for a prediction that diverges."""
+        """Filter a residual so that its values are independent with unit variance despite the voltage errors.
+
+        What unknown zeros of the sensors explain is removed as well.
+
+        Args:
+            residual: Residuals of a batch of predictions, in units of the noise, shape (batch, n * sensors).
+            bandwidth: Bandwidth of the observer, rad/s.
+
+        Returns:
+            White residuals, dimensionless, same shape; NaN for a prediction that diverges.
+        """
         finite = np.isfinite(residual).all(axis=1)
         if finite.all():
             return self._without_zeros(residual, bandwidth)  # without copies
@@ -288,12 +310,20 @@ class InterpolationErrors(VoltageErrors):
 
     @override
     def log_variance(self, bandwidth: float) -> Array:
+        """Return the logarithm of each residual's variance, given those before it, before it is whitened.
+
+        Args:
+            bandwidth: Bandwidth of the observer, rad/s.
+
+        Returns:
+            Natural logarithm of variance / noise variance, dimensionless, shape (n, sensors).
+        """
         return self.whitening(bandwidth).log_variance
 
     def whitening(self, bandwidth: float) -> Whitening:
-        """Return the filter that makes the residual, shape (n * sensors,), white.
+        """Return the filter that makes the residual, shape (n * sensors,), of an exact machine white.
 
-        It is cached by bandwidth.
+        It is computed once for each bandwidth.
 
         Args:
             bandwidth: Bandwidth of the observer, rad/s.
@@ -324,10 +354,14 @@ class InterpolationErrors(VoltageErrors):
         return responses.reshape(len(free), scales.size)
 
     def responses(self, bandwidth: float) -> sparse.csr_array:
-        """Return the change of the residual by errors of one standard deviation, shape (n * sensors, errors).
+        """Return the change of the residual by each error of a mean voltage of one standard deviation.
 
         Args:
             bandwidth: Bandwidth of the observer, rad/s.
+
+        Returns:
+            Sparse matrix, dimensionless, shape (n * sensors, (n - 1) * drives): all sensors of a row before
+            the next row, all drives of an interval between rows before the next interval.
         """
         intervals = np.arange(len(self._run.time_s) - 1)
         per_volt, _ = voltage_responses(
