@@ -144,7 +144,7 @@ class Budget:
 
     @property
     def reason(self) -> str:
-        """Why the search ended before it was complete, in words."""
+        """Why the search ended early, in words: the user interrupted it, or its budget ended."""
         if self.interrupted:
             return (
                 f"interrupted after {self.spent if self._ended is None else self._ended:.0f} "
@@ -157,13 +157,14 @@ class Budget:
         self.interrupted = True
 
     def check(self, doing: str = "") -> None:
-        """End the search by an exception if its time is used up; report progress.
+        """Raise `BudgetEndedError` if the time of the present stage is used up; otherwise report progress.
 
         Args:
             doing: What the search does next, in words. Default: the same as at the last call.
 
         Raises:
-            BudgetEndedError: If the time for the search is used up, or the user interrupted.
+            BudgetEndedError: If the time of the stage, without that of the tests that follow it, is used up,
+                or the user interrupted.
         """
         self.doing = doing or self.doing
         self.check_quietly()
@@ -171,10 +172,10 @@ class Budget:
             self._progress(self.doing, self.spent, self.seconds)
 
     def check_quietly(self) -> None:
-        """End the search by an exception if its time is used up, without a report of progress.
+        """Raise `BudgetEndedError` if the time of the present stage is used up, without a report of progress.
 
         Raises:
-            BudgetEndedError: If the time for the search is used up, or the user interrupted.
+            BudgetEndedError: As `check` does.
         """
         spent = self.spent
         before_tests = self._end(self._tests_part) - self._tests
@@ -198,35 +199,39 @@ class Budget:
 
     @property
     def session_part(self) -> float:
-        """Fraction of a session of normal size that can be fitted in the budget; 1 without a search."""
+        """Fraction of a session of normal size that can be fitted in the budget, dimensionless.
+
+        It is the budget / 120 s, from 0.25 to 1; 1 if the budget is 0, because nothing is then searched for.
+        """
         if self.seconds == 0.0:
             return 1.0
         return min(max(self.seconds / DEFAULT_SECONDS, _LEAST_SESSION_PART), 1.0)
 
     def has_time(self, part: float) -> bool:
-        """Return whether less than the fraction `part` of the budget is used, so that a stage may begin.
+        """Return whether less than a part of the budget is used, so that a stage may begin.
 
-        It may not after an interruption by the user.
+        After an interruption by the user, it is False.
 
         Args:
-            part: Fraction of the budget without the reserved time (`reserve`), dimensionless.
+            part: Fraction of the budget, dimensionless. A time for the end of the identification (`reserve`)
+                shortens all parts alike.
         """
         return not self.interrupted and self.spent < self._end(part)
 
     def reserve(self, seconds: float) -> None:
-        """Reserve time for the work after the last stage; all stages end earlier if necessary.
+        """Reserve time for the work after the last stage; all stages then end earlier by the same factor.
 
         Args:
             seconds: Expected processor time from the last stage to the end of the identification, s. It
-                replaces an earlier estimate.
+                replaces an earlier estimate; at most half of the budget is reserved.
         """
         self._reserved = min(seconds + self._afterwards, _LARGEST_RESERVE * self.seconds)
 
     def expect_tests(self, seconds: float) -> None:
-        """Let the current stage end earlier if the tests of its findings would otherwise exceed the budget.
+        """Let the present stage end earlier, so that the tests of what it found still end in time.
 
         Args:
-            seconds: Expected processor time of these tests, s.
+            seconds: Expected processor time of these tests, s; at most half of the budget is kept for them.
         """
         self._tests = min(seconds, _LARGEST_RESERVE * self.seconds)
 
@@ -235,10 +240,12 @@ class Budget:
         return part * min(self.seconds, (self.seconds - self._reserved) / LAST_STAGE_END)
 
     def until(self, part: float, longest: float = math.inf) -> Budget:
-        """Return a separate budget for one stage; an earlier interruption by the user does not end it.
+        """Return a separate budget that ends when a part of this one is used, for one stage.
+
+        An earlier interruption by the user does not end it.
 
         Args:
-            part: Part of this budget after which the stage ends, dimensionless.
+            part: Fraction of this budget after which the stage ends, dimensionless.
             longest: Processor time that the stage may take, s.
         """
         seconds = min(self._end(part) - self.spent, longest)
@@ -268,10 +275,10 @@ class Budget:
 
     @contextmanager
     def during_tests(self) -> Iterator[None]:
-        """Let tests of the present stage, in a `with` block, use the time that is kept for them.
+        """Let the present stage, in a `with` block, use the time that is kept for the tests that follow it.
 
-        Tests that the stage has begun and does not end would begin again after it, and rarely end in the time
-        that is left.
+        The block contains tests that the stage makes itself. If its end interrupted them, they would begin
+        again after it, and rarely end in the time that is left.
         """
         part, expected = self._part, self._tests
         if math.isfinite(self._tests_part):
@@ -286,10 +293,10 @@ _ACTIVE: ContextVar[Budget | None] = ContextVar("budget", default=None)
 
 
 def spend(doing: str = "") -> None:
-    """End the search by an exception if the time of its stage is used up; searches call it between fits.
+    """Raise `BudgetEndedError` if the time of the present stage is used up; searches call this between fits.
 
-    Progress is reported as well. Without an active budget, and in a stage that must deliver a machine, it
-    does nothing; the latter asks `goes_on`.
+    Otherwise report progress. Without an active budget, and in a stage that must deliver a machine, it does
+    nothing; such a stage calls `goes_on` instead.
 
     Args:
         doing: What the search does next, in words. Default: the same as at the last call.
@@ -316,7 +323,10 @@ def goes_on() -> bool:
 
 
 def during_tests() -> AbstractContextManager[None]:
-    """Return the context of `Budget.during_tests` of the active budget; without one, it does nothing."""
+    """Return a context in which the present stage may use the time of its tests (`Budget.during_tests`).
+
+    Without an active budget, it does nothing.
+    """
     budget = _ACTIVE.get()
     return nullcontext() if budget is None else budget.during_tests()
 
@@ -342,22 +352,25 @@ def error_so_far() -> float | None:
 
 
 def may_begin_again() -> bool:
-    """Return whether the active budget leaves time for a second search; True without an active budget."""
+    """Return whether less than 60 % of the active budget is used (`SECOND_SEARCH_PART`), for a second search.
+
+    Without an active budget, it is True; after an interruption by the user, False.
+    """
     budget = _ACTIVE.get()
     return budget is None or budget.has_time(SECOND_SEARCH_PART)
 
 
 def seconds_spent() -> float:
-    """Return the processor time that the active budget has counted, s; 0 without an active budget."""
+    """Return the processor time since the active budget began, s; 0 without an active budget."""
     budget = _ACTIVE.get()
     return 0.0 if budget is None else budget.spent
 
 
 def expect_tests(seconds: float) -> None:
-    """Call `Budget.expect_tests` of the active budget, if there is one.
+    """Keep time of the active budget for tests, by `Budget.expect_tests`; without one, do nothing.
 
     Args:
-        seconds: Processor time, s.
+        seconds: Expected processor time of the tests, s.
     """
     if (budget := _ACTIVE.get()) is not None:
         budget.expect_tests(seconds)

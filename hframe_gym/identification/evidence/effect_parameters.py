@@ -17,6 +17,9 @@ from ..propose.candidates import covered_by_runs
 def parameter_values(label: str, fitted: Fit) -> tuple[ParameterValue, ...]:
     """Return the parameters of a fitted effect, with the limits at which a value is hardly reliable.
 
+    These are the bounds of the parameter's range except 0, and, for a width or a rate that the motion must
+    cover, the ends of the range that the runs can determine.
+
     Args:
         label: Label (name@site) of the effect.
         fitted: Fit of the machine with the effect.
@@ -45,15 +48,16 @@ def _can_act(name: str, effect: AppliedEffect, machine: Machine) -> bool:
 
 
 def sizes(effect: AppliedEffect, machine: Machine) -> tuple[Size, ...]:
-    """Return the amplitudes of a fitted effect, whose value 0 means that it is absent, with their errors.
+    """Return the amplitudes of a fitted effect with their standard deviations.
+
+    An amplitude is a parameter whose value 0 means that the effect is absent.
 
     Args:
         effect: The effect with its fitted parameters.
         machine: Machine with the covariance of its parameters.
 
     Returns:
-        The amplitudes in the covariance with their standard deviations (`Size`), in the unit of each; empty
-        without a covariance.
+        Amplitudes that are in the covariance, in the unit of each; empty without a covariance.
     """
     uncertainty = machine.uncertainty
     if uncertainty is None:

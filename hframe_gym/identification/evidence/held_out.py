@@ -145,7 +145,7 @@ def is_excited(selected: SelectedEffect, machine: Machine, held_out: Dataset, ba
 def shown_effects(
     selected: Sequence[SelectedEffect], machine: Machine, held_out: Dataset, bandwidth: float
 ) -> dict[str, judge.HeldOutEffect]:
-    """Return the evidence of the held-out runs for each of several effects, by its label.
+    """Return what the held-out runs say about several effects: gains, and whether they depend on them.
 
     Args:
         selected: The effects, each with the machine that was fitted without it.
@@ -154,7 +154,7 @@ def shown_effects(
         bandwidth: Bandwidth of the observer, rad/s; 0 for a simulation.
 
     Returns:
-        For each effect, `held_out_gain` and `is_excited`.
+        Results of `held_out_gain` and `is_excited`, by the effect's label (name@site).
     """
     return {
         s.effect.label: judge.HeldOutEffect(
@@ -177,9 +177,11 @@ def contradicting_held_out_runs(
         after: Fit of the machine with the selected effects.
         before: Refitted machine without effects.
         selected: The selected effects.
+        held_out: Held-out runs, prepared.
 
     Returns:
-        Names of the runs that contradict (`judge.run.contradicts`), at the observer bandwidth of the fit.
+        Names of the runs that contradict the machine by `judge.run.contradicts`, at the observer bandwidth of
+        the fit.
     """
 
     def shown_by(run: Dataset) -> HeldOutRun:
@@ -195,14 +197,15 @@ def contradicting_held_out_runs(
 
 
 def runs_with_effects(after: Fit, before: Machine, held_out: Dataset) -> tuple[str, ...]:
-    """Find the held-out runs of whose error the selected effects remove nearly all.
+    """Find the held-out runs of whose squared error the selected effects together remove more than 90 %.
 
     Args:
         after: Fit of the machine with the selected effects.
         before: Refitted machine without effects.
+        held_out: Held-out runs, prepared.
 
     Returns:
-        Names of the runs (`judge.run.shows_effects`), at the observer bandwidth of the fit.
+        Names of the runs (`judge.run.shows_effects`); errors are those at the observer bandwidth of the fit.
     """
 
     def gain(run: Dataset) -> float:

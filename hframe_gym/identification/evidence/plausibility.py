@@ -41,16 +41,16 @@ def top_speeds(machine: Machine) -> tuple[float, float]:
 
 
 def speeds_inside(machine: Machine, speeds: Array, positions: Array, reference: Array) -> tuple[float, float]:
-    """Return the top speeds with and without effects, up to the time when the workspace is left.
+    """Return the top speeds with and without effects before the machine without effects leaves its workspace.
 
-    That is the time when the machine without effects leaves it.
+    It leaves the workspace where a linear coordinate with a range leaves this range. Each voltage history is
+    evaluated up to that time.
 
     Args:
         machine: The machine, with the ranges of its coordinates.
-        speeds: Magnitudes of the speeds with the effects, as rates of the belt travel, m/s,
-            shape (voltage histories, n samples, coordinates).
-        positions: Positions without the effects, m or rad, of the same shape. Only linear coordinates with a
-            range can leave the workspace.
+        speeds: Magnitudes of the speeds with the effects, as rates of the belt travel, m/s, shape (voltage
+            histories, n samples, coordinates).
+        positions: Positions without the effects, m or rad, of the same shape.
         reference: Magnitudes of the speeds without the effects, m/s, of the same shape.
 
     Returns:

@@ -84,7 +84,8 @@ def limited_last(trials: list[Fit], current: Fit) -> list[Fit]:
         current: Fit without a candidate, with the same observer bandwidth (rad/s) as the trials.
 
     Returns:
-        The same fits; those that give way to others (`judge.trial.gives_way`) are the last ones.
+        The same fits. The last ones are those with a parameter at its limit that reduce the cost by less than
+        twice as much as the best fit without one (`judge.trial.gives_way`).
     """
 
     def gain(trial: Fit) -> float:
@@ -98,7 +99,12 @@ def limited_last(trials: list[Fit], current: Fit) -> list[Fit]:
 
 
 def selected_first(best: Fit, trials: list[Fit]) -> list[Fit]:
-    """Return the converged fit of the selected effect, `best`, followed by the `trials` of other effects."""
+    """Return the fit of the selected effect, followed by the trial fits of other effects.
+
+    Args:
+        best: Converged fit whose last effect is the selected one; it takes the place of its trials.
+        trials: Fits with one candidate effect each.
+    """
     label = best.machine.effects[-1].label
     return [best, *(t for t in trials if t.machine.effects[-1].label != label)]
 
@@ -108,12 +114,14 @@ def close_rivals(
 ) -> tuple[AppliedEffect, ...]:
     """Return the rivals of a selected effect: other tried effects that may be the actual cause.
 
+    Which ones may, `judge.rival.may_be_the_cause` decides.
+
     Args:
         trials: Fits with one candidate effect each; the first has the selected effect.
         current: Fit without a candidate, with the same observer bandwidth (rad/s) as the trials.
         variance: Function that returns the variance that the residual of the first trial has in the direction
             of its effect (`long_run_variance`); it is called at most once, if a rival needs it.
-        criteria: Decision thresholds of `judge.rival.may_be_the_cause`.
+        criteria: Decision thresholds of `may_be_the_cause`.
 
     Returns:
         Rivals with their fitted parameters, each effect once per component, in the order of the trials.
@@ -140,6 +148,7 @@ def rivals_in_combination(
     these rivals.
 
     Args:
+        effect: The selected effect.
         rivals: Its known rivals.
         others: All other selected effects and their rivals.
         machine: Machine with all selected effects.

@@ -57,27 +57,30 @@ class TestedFit:
 
     @cached_property
     def narrower(self) -> Fit:
-        """Fit with the observer of the next smaller bandwidth (`narrower_observer`)."""
+        """Fit of the same machine with the observer of the next smaller bandwidth (`narrower_observer`)."""
         return narrower_observer(self.fitted, self.data)
 
     @cached_property
     def wide(self) -> Fit:
-        """Fit with the observer of the largest bandwidth, 60 rad/s."""
+        """Fit of the same machine with the observer of the largest bandwidth, 60 rad/s."""
         return continue_fit(self.fitted, self.data, SEARCH_BANDWIDTH)
 
     @cached_property
     def by_instruments(self) -> Fit | None:
-        """Fit by instrumental variables (`slow_logs.fit_by_instruments`), or None if it does not succeed."""
+        """Fit of the same machine by instrumental variables (`slow_logs.fit_by_instruments`).
+
+        None if the voltages are held, or if the fit does not converge.
+        """
         return fit_by_instruments(self.fitted, self.data)
 
     @cached_property
     def deviations(self) -> dict[str, float]:
-        """Standard deviations of the amplitudes of all effects, SI, by parameter (name@site.parameter)."""
+        """Standard deviations of the effects' amplitudes in `fitted`, SI, by name@site.parameter."""
         return _deviations(self.fitted, self.data)
 
     @cached_property
     def wide_deviations(self) -> dict[str, float]:
-        """Standard deviations of the amplitudes of effects, SI, with the observer of 60 rad/s (`wide`)."""
+        """Standard deviations of the effects' amplitudes in the fit `wide`, SI, by name@site.parameter."""
         return _deviations(self.wide, self.data)
 
     @cached_property
@@ -94,16 +97,18 @@ class TestedFit:
 def doubt_about_candidate(
     current: TestedFit, trial: Fit, criteria: SelectionCriteria, effect: AppliedEffect | None = None
 ) -> str:
-    """Return why an effect may not exist although it reduces the error, or "" if it passes all tests.
+    """Return why an effect that a search just added may not exist, or "" if it passes the tests.
+
+    The evidence is collected from the fits; the rule is `judge.effect.doubt_about_candidate`.
 
     Args:
         current: Fit of the machine without the effect.
         trial: Fit of the machine with the effect. Both fits have the same observer bandwidth.
+        criteria: Decision thresholds of the rule.
         effect: The effect. Default: the last one of the machine.
 
     Returns:
-        Clause that follows "it ", such as "is not confirmed by runs that it was not fitted to", by
-        `judge.effect.doubt_about_candidate`.
+        Clause that follows "it ", such as "is not confirmed by runs that it was not fitted to".
     """
     effect = effect or trial.machine.effects[-1]
     evidence = effect_evidence(current, TestedFit(trial, current.data), effect)
@@ -115,24 +120,30 @@ def doubt_beside_others(
 ) -> str:
     """Return why an effect of a machine may not exist beside all others, or "" if it passes all tests.
 
+    The evidence is collected from the fits; the rule is `judge.effect.doubt_beside_others`.
+
     Args:
         reduced: Fit of the machine with all other effects.
         complete: Fit of the machine with all effects. Both fits have the same observer bandwidth.
+        effect: The effect.
+        criteria: Decision thresholds of the rule.
 
     Returns:
-        Clause that follows "it ", such as "has no effect on the error", by
-        `judge.effect.doubt_beside_others`.
+        Clause that follows "it ", such as "has no effect on the error".
     """
     without = TestedFit(reduced, complete.data)
     return judge.doubt_beside_others(effect_evidence(without, complete, effect), criteria)
 
 
 def effect_evidence(reduced: TestedFit, tested: TestedFit, effect: AppliedEffect) -> EffectEvidence:
-    """Collect the evidence of the fitted runs for an effect; slow quantities are computed when needed.
+    """Collect the evidence of the fitted runs for an effect, as the rules of `judge.effect` need it.
+
+    What takes long is given as functions, which compute it when a rule calls them.
 
     Args:
         reduced: Fit of the machine without the effect.
         tested: Fit of the machine with the effect, at the same observer bandwidth.
+        effect: The effect with its fitted parameters.
     """
     without, with_effect, data = reduced.fitted, tested.fitted, tested.data
     held = data.updates == 1

@@ -28,7 +28,7 @@ class SelectedEffect:
 
     @property
     def rivals(self) -> tuple[str, ...]:
-        """Labels of the rival effects, then other causes in words that no recording tells apart from it."""
+        """Labels (name@site) of the rivals, then other causes that no recording tells apart, in words."""
         return (*(rival.label for rival in self.rival_effects), *self.effect.definition.equivalent)
 
     def with_values(self, machine: Machine, machine_without: Machine | None = None) -> SelectedEffect:

@@ -61,14 +61,15 @@ class _Part(NamedTuple):
 def cost_beside_voltages(fitted: Fit, data: Dataset) -> float:
     """Return the cost that remains after unknown voltages between rows explain what they can.
 
-    The cost includes the penalty of the prior.
+    The amounts of all changes that these voltages may have (see the module) and the parameters of the fit are
+    chosen together, to first order, so that the cost plus the penalty of the parameters' prior is smallest.
 
     Args:
-        fitted: Fit whose parameters may change as well, to first order.
+        fitted: Fit around whose parameters the predictions are linearized.
         data: Runs that were fitted, whose voltages change between the rows.
 
     Returns:
-        Cost, dimensionless; not a number if a simulation diverges.
+        Cost with this penalty, dimensionless; not a number if a simulation diverges.
     """
     model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, fitted.longest_step)
     point = model.at(fitted.theta)

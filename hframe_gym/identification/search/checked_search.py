@@ -99,7 +99,11 @@ class CheckedOutcome(NamedTuple):
 
     @property
     def judging(self) -> Dataset:
-        """Held-out runs that may remove effects: also a contradicting one that shows these effects."""
+        """Held-out runs that may remove effects.
+
+        They are those that do not contradict the machine, and contradicting ones of whose squared error the
+        effects remove more than 90 % (`runs_with_effects`).
+        """
         outcome, differing = self.outcome, self.held_out.with_runs(self.differing)
         if not outcome.selected or not differing.runs:
             return self.agreeing
@@ -119,11 +123,11 @@ class CheckedOutcome(NamedTuple):
         return (*remarks, *map(_HELD_OUT_CONTRADICTION.format, self.differing), *hints)
 
     def without_run(self, name: str) -> CheckedOutcome:
-        """Return a copy that names a run as left out, because the search used only the others."""
+        """Return a copy whose outcome names a run as left out (`contradiction`) of the search."""
         return self._replace(outcome=self.outcome._replace(contradiction=name))
 
     def comparable_runs(self, all_runs: Dataset) -> Dataset:
-        """Return all runs, to compare them with each other: fitted, held-out and contradicting ones.
+        """Return the runs that can be compared: the fitted ones, the held-out ones and one left out.
 
         Args:
             all_runs: All runs, prepared for a fit. Runs that the search used replace them, because these have
@@ -155,8 +159,10 @@ def find_effects(
         machine: Machine as declared.
         all_runs: All runs, prepared for a fit.
         held_names: Names of the runs that are held out.
-        may_exchange: Whether other runs may be held out to look for a hint, if the held-out runs contradict
-            the fitted ones.
+        may_exchange: Whether to search again with other runs held out, if the held-out runs contradict the
+            fitted ones (`exchanged_if_better`).
+        criteria: Decision thresholds.
+        log: Called with a line of text for each step.
         budget: Processor time after which the search ends.
         before_search: Called before each search with the plain fit, the fitted and the held-out runs.
     """
@@ -446,7 +452,9 @@ def _contradicting_runs(outcome: SearchOutcome, held_out_runs: Dataset) -> tuple
 def exchanged_if_better(
     found: CheckedOutcome, search_without: Callable[[Sequence[str]], CheckedOutcome], log: LineLog
 ) -> CheckedOutcome:
-    """Search again with other runs held out if the held-out runs contradict the fitted runs.
+    """Search again with other runs held out if all held-out runs contradict the fitted runs.
+
+    The contradicting runs are then fitted, and as many of the others are held out.
 
     Args:
         found: Outcome of the first search.
@@ -454,8 +462,9 @@ def exchanged_if_better(
         log: Called with a line of text for each decision.
 
     Returns:
-        The outcome of the second search if its held-out runs confirm it; otherwise the first one, with a hint
-        if the second one explains all runs.
+        The second outcome if its effects explain all runs and its held-out runs confirm them, or if one of
+        the first held-out runs is the only one that disagrees with all others. Otherwise the first outcome,
+        with a hint for the user if effects explain all runs in the second one.
     """
     others = _runs_to_exchange(found, log)
     if not others:
@@ -516,18 +525,21 @@ def _hint(found: CheckedOutcome, exchanged: CheckedOutcome) -> str:
 def without_unconfirmed(
     outcome: SearchOutcome, held_out: Dataset, criteria: SelectionCriteria, log: LineLog
 ) -> SearchOutcome:
-    """Remove effects that do not reduce the error of the held-out runs, weakest first.
+    """Remove effects that the held-out runs refute, one at a time, the weakest first.
 
-    The held-out runs can only remove an effect here, never add or change one. An effect that they do not
-    excite is kept: the fitted runs, left out one by one (`leave_one_out_gain`), have confirmed it. If each
-    effect reduces their error but all together make their simulation worse than without effects, the weakest
-    is removed as well. After a removal, effects go as well that chance or unknown voltages may explain
-    without the one that is gone.
+    Which effects are refuted, `judge.held_out.refuted_effects` decides: those that do not reduce the error of
+    these runs; if there are none, but all together make the simulation worse, the weakest. An effect that
+    they do not excite is kept, because the fitted runs have confirmed it. After each removal, effects go as
+    well that chance or unknown voltages may explain without the one that is gone.
 
     Args:
+        outcome: Outcome of a search.
         held_out: Held-out runs that may remove effects (`CheckedOutcome.judging`).
         criteria: Thresholds of the tests by the fitted runs.
         log: Called with a line of text for each effect that is removed.
+
+    Returns:
+        The outcome with the removed effects among the considered ones, and the verdict without them.
     """
     before, data = outcome.before, outcome.data
     while outcome.selected and held_out.runs:

@@ -121,16 +121,20 @@ class ModelSearch:
 
     @cached_property
     def selection(self) -> Selection:
-        """Machine with the effects that were selected one by one, before they are tested together."""
+        """Fit with the effects that were selected one by one, and these effects, before the final tests."""
         self._log("searching for effects")
         search, start = self._first_search, (self.before, ())
         return search.run(*(search.start_with(self.before, self._known) if self._known else start))
 
     def run(self, start: Selection | None = None) -> SearchOutcome:
-        """Search for effects, then for tables if no known effects explain the residual.
+        """Search for effects and test them together; if they do not explain the runs, search for tables.
 
         Args:
-            start: Fit with effects that are known already. Default: the refitted machine, without effects.
+            start: Fit with effects that are known already, from which the search goes on. Default: the
+                refitted machine, without effects.
+
+        Returns:
+            Verdict of the fitted runs, with the machine and the effects and tables that passed all tests.
         """
         if start is not None:
             self._log("searching for further effects")
@@ -144,10 +148,13 @@ class ModelSearch:
         return self._outcome("effect_found", self._with_rivals(tabled)) if tabled else self._partial(found)
 
     def fitted(self, found: SearchOutcome) -> SearchOutcome:
-        """Refit the result of a search in some of the rows to all rows.
+        """Refit the machine of a search in some of the rows to all rows, and reach the verdict again.
 
         Args:
             found: Outcome of a search in some of the rows.
+
+        Returns:
+            Outcome with the same effects, without those that the fit moves to a meaningless limit.
         """
         after = self.before
         if found.selected:
@@ -170,9 +177,9 @@ class ModelSearch:
         No effect is kept if the time for the tests ends first.
 
         Args:
-            tests: Part of the budget for these tests, including fits in simulation of effects that leave an
-                error. The rest of it is spent on comparing the effects with all others.
-            last_fit: Part for the last fits of the effects that pass. If it ends, the best parameters so far
+            tests: Budget of these tests, including fits in simulation of effects that leave an error. What is
+                left of it is spent on comparing the effects with all others.
+            last_fit: Budget of the last fits of the effects that pass. If it ends, the best parameters so far
                 are delivered.
         """
         found, decision = self._tested_early(tests)
@@ -308,15 +315,15 @@ class ModelSearch:
 
     @property
     def needs_no_effect(self) -> bool:
-        """Whether the refitted machine explains the runs without effects."""
+        """Whether the refitted machine explains the runs without effects (`judge.error.explains`)."""
         return self._explains(self.before)
 
     @cached_property
     def runs_differ(self) -> bool:
-        """Whether a parameter with another value in each run explains the runs, as no effect or table can.
+        """Whether a parameter with another value in each run explains the runs, as no effect can.
 
-        A parameter that drifts does not count, because a table over time may explain it; nor does a single
-        run that differs, because the others may have effects.
+        A parameter that only rises or only falls does not count, because a table over time may explain it;
+        nor does a single run that differs, because the others may have effects.
         """
         return self._difference is not None and not self._drifts and self._difference.different_run is None
 

@@ -111,17 +111,18 @@ def table_candidates(
 def proposed_tables(site: str, ranked: Sequence[tuple[float, Table]], count: int) -> list[Table]:
     """Choose the tables that are proposed at a coordinate.
 
-    These are the ones that explain most; the best one over time, which may explain a drift; and both over the
-    position of the coordinate, force and friction, because fitted friction can hide a part of a force over
-    the position.
+    They are the first `count` of the ranking; of the others, the best one over time, which may explain a
+    drift, and both over the position of the coordinate, force and friction, because fitted friction can hide
+    a part of a force over the position.
 
     Args:
         site: Name of the coordinate.
-        ranked: Fraction of the missing force that each table explains, dimensionless, and the table.
+        ranked: Fraction of the missing force that each table explains, dimensionless, and the table, largest
+            fraction first.
         count: Number of tables that are proposed because they explain most.
 
     Returns:
-        The tables in this order.
+        The tables in this order, each once.
     """
     tables = [table for _, table in sorted(ranked, key=lambda entry: -entry[0])]
     best, remaining = tables[:count], tables[count:]

@@ -141,7 +141,7 @@ class HeldOutTest:
 
     @cached_property
     def complete_runs(self) -> Dataset:
-        """Held-out runs with the measurements at the ends of sensors' ranges too, which a fit leaves out."""
+        """Held-out runs with the measurements at the ends of the sensors' ranges, which a fit leaves out."""
         return with_all_measurements(self.held_out, self.session.usable)
 
     def with_runs(self, names: Sequence[str]) -> HeldOutTest:
@@ -179,11 +179,11 @@ class HeldOutTest:
         return errors
 
     def refined_runs(self, model: ModelEvaluation, fitted: Dataset) -> Dataset:
-        """Return the held-out runs with the initial states that follow from a machine.
+        """Return the held-out runs, with initial states and voltages that follow from a machine.
 
         Args:
             model: Machine with its errors, which were computed with these runs.
-            fitted: Runs that the machine was fitted to.
+            fitted: Runs that the machine was fitted to; the zeros of encoders may follow from them.
         """
         known = self._known_of(model.machine, fitted)
         return known.refined if known else refine_dataset(self.complete_runs, model.machine, fitted)
@@ -198,7 +198,7 @@ class HeldOutTest:
         return fitted if may_correct_zeros(self.held_out, machine) else None
 
     def seconds(self) -> float:
-        """Return the processor time of the slowest evaluation so far, s; 0 before the first one.
+        """Return the processor time of the longest evaluation of a machine so far, s; 0 before the first one.
 
         It estimates the time for the delivered machine, whose effects may make an evaluation slower.
         """
@@ -209,8 +209,9 @@ class HeldOutTest:
     ) -> UnstableMotion | None:
         """Return the evidence about a machine's motion if it is unstable; None if it is stable.
 
-        Also None with unknown voltages between the rows, whose influence on predictions is not known well
-        enough.
+        A motion is unstable if simulations enlarge position errors of the size of the noise more than twice
+        (`enlargement`). The result is also None with unknown voltages between the rows, whose influence on
+        predictions is not known well enough.
 
         Args:
             model: Machine with its errors.
@@ -233,8 +234,11 @@ class HeldOutTest:
     def explains_unstable_motion(self, model: ModelEvaluation, fitted: Dataset) -> bool:
         """Return whether noise that grows along an unstable motion causes a machine's simulation error.
 
+        It is False for an error of no more than twice the noise (`max_noise_ratio_explained`); otherwise
+        `judge.unstable_motion.explains_unstable_motion` decides.
+
         Args:
-            model: Machine with its errors.
+            model: Machine with its errors on the held-out runs.
             fitted: Runs that the machine was fitted to.
         """
         left = model.held_out.noise_ratio
@@ -245,8 +249,13 @@ class HeldOutTest:
     def evaluate(self, outcome: SearchOutcome) -> Evaluated:
         """Simulate the declared, the refitted and the corrected machine over the held-out runs.
 
+        Effects of sensors that saturate, which no search finds, are added to the corrected machine.
+
         Args:
             outcome: Outcome of a search, without effects that must not be named.
+
+        Returns:
+            The outcome with these machines and their errors.
         """
         corrected, selected = _corrected(
             outcome.after.machine.replace(name=f"{self.session.machine.name}-identified"),
@@ -262,12 +271,14 @@ class HeldOutTest:
     def contradiction(self, evaluated: Evaluated, differing: Sequence[str]) -> str:
         """Return why the held-out runs contradict the verdict of a search, as a clause; "" if they do not.
 
-        Of the verdict "unexplained", they contradict nothing; then it is what the fitted runs lack, where the
-        held-out ones do not show it.
+        With effects, it is why they must not be named (`judge.verdict.contradiction_of_names`). Of
+        "no_effect", it is what `contradiction_of_no_effect` says. Without effects and with the verdict
+        "unexplained", it is why the fitted runs have an error that the held-out ones do not show
+        (`fault_of_fitted_runs`).
 
         Args:
             evaluated: Outcome of the search with its machines.
-            differing: Names of runs that contradict the fitted ones.
+            differing: Names of held-out runs that contradict the fitted ones, which do not count.
         """
         outcome = evaluated.outcome
         if not outcome.selected and outcome.verdict != "no_effect":
@@ -298,17 +309,16 @@ class HeldOutTest:
         return reason
 
     def predictions(self, model: ModelEvaluation, fitted: Dataset, names: Sequence[str] = ()) -> Array:
-        """Compute the prediction errors of a machine on the held-out runs, by run and sensor.
-
-        See `predictions_by_run`.
+        """Compute the errors of predictions of the held-out runs, with an observer of 15 rad/s.
 
         Args:
             model: Machine with its errors.
-            fitted: Runs that the machine was fitted to.
+            fitted: Runs that the machine was fitted to; the zeros of encoders may follow from them.
             names: Names of the held-out runs that are predicted. Default: all.
 
         Returns:
-            Mean squared error / that of an exact machine, dimensionless, shape (runs, sensors).
+            Mean squared error in units of the noise / that of an exact machine, dimensionless, shape (runs,
+            sensors); NaN if not measured, infinite if a prediction diverges.
         """
         runs = self.complete_runs
         return predictions_by_run(model, runs.with_runs(names) if names else runs, fitted)
@@ -327,7 +337,7 @@ class HeldOutTests:
         self._tests: dict[Dataset, HeldOutTest] = {}
 
     def of(self, held_out: Dataset) -> HeldOutTest:
-        """Return the test for some held-out runs; a repeated call returns the test with its cached errors."""
+        """Return the test for some held-out runs, with its cached errors if it was returned before."""
         if held_out not in self._tests:
             self._tests[held_out] = HeldOutTest(self.session, held_out, self._criteria)
         return self._tests[held_out]
@@ -376,9 +386,11 @@ class Judged(NamedTuple):
 
 
 def judged(evaluated: Evaluated, differing: Sequence[str], log: LineLog) -> Judged:
-    """Let the held-out runs judge the effects' names and the verdict.
+    """Let the held-out runs confirm or withdraw the verdict and the names of effects.
 
-    If they permit no names, they judge the refitted machine, which may need no effect.
+    Effects whose names they do not permit (`HeldOutTest.contradiction`) are moved to the considered ones. The
+    verdict is then that of the refitted machine: "no_effect" if the held-out runs do not contradict this,
+    else "unexplained".
 
     Args:
         evaluated: Outcome of a search with its machines.
@@ -386,8 +398,8 @@ def judged(evaluated: Evaluated, differing: Sequence[str], log: LineLog) -> Judg
         log: Called with a line of text for each effect that is not named.
 
     Returns:
-        The outcome without effects that must not be named, with the reason of a contradiction, and the
-        outcome with these effects.
+        The outcome without effects that must not be named, with the reason of a contradiction; and the
+        outcome with these effects, None if all names are permitted.
     """
     test = evaluated.test
     reason, outcome, withdrawn = test.contradiction(evaluated, differing), evaluated.outcome, None
@@ -411,8 +423,8 @@ def describe_unstable_motion(evaluated: Evaluated) -> str:
         evaluated: Outcome with the machine that is delivered.
 
     Returns:
-        Sentences; "" if an unstable motion does not explain the error of the simulation, or only noise is
-        left.
+        Sentences with the factor by which errors grow, and the squared error of predictions; "" if
+        `HeldOutTest.explains_unstable_motion` is False for this machine.
     """
     test, after, fitted = evaluated.test, evaluated.after, evaluated.outcome.data
     if not test.explains_unstable_motion(after, fitted):

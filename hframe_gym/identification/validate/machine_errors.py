@@ -72,7 +72,7 @@ class ModelEvaluation:
 
     @property
     def deviating_sensors(self) -> tuple[str, ...]:
-        """Channels with an error beyond noise while other sensors of the same motion agree (`judge.sensor`).
+        """Channels whose sensor, or its mounting, is in error, because others contradict it (`judge.sensor`).
 
         Belts stretch little, so if a carriage moved otherwise than simulated, the encoders of the pulleys
         would deviate as well. If only the sensor of the carriage deviates, the cause is that sensor, its

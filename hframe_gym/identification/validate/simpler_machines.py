@@ -152,14 +152,16 @@ def no_worse(
 ) -> Delivered:
     """Compare the machine of a search with simpler ones, and deliver none that predicts worse than these.
 
-    If a simpler machine replaces one with effects, no effect is named for this reason. If no cause is named,
-    a machine with effects that describe the remaining error may replace one without. Held-out runs that
-    contradict all of these machines do not count.
+    A machine is worse than the plain fit or the declared machine if its simulation error on the held-out runs
+    is (`judge.delivery.is_worse_than`), unless an unstable motion explains this error. One with effects is
+    first fitted again in simulation. If a simpler machine replaces one with effects, no effect is named for
+    this reason. If no cause is named, a machine with effects that describe the remaining error may replace
+    one without (`best_description`). Held-out runs that contradict all of these machines do not count.
 
     Args:
         judgment: Outcome of a search after the tests on the held-out runs.
         plain: Plain fit to the fitted runs, if there is one.
-        log: Called with a line of text.
+        log: Called with a line of text for each decision.
         budget: Budget of the identification, of which a description may use a part.
         differing: Names of the held-out runs that contradict the fitted ones.
 
@@ -287,15 +289,16 @@ def _compared(
 
 
 def confirmed(plain: PlainFit, evaluated: Evaluated) -> tuple[PlainFit, ModelEvaluation]:
-    """Choose the terms of a plain fit by the prediction of the held-out runs.
+    """Choose the terms of a plain fit by the simulation error of the held-out runs.
 
     Args:
         plain: Plain fit to the fitted runs.
         evaluated: Outcome of a search, with the tests on the held-out runs.
 
     Returns:
-        The plain fit whose terms predict the held-out runs best, with its errors. Terms that the fitted runs
-        determine are left out if they worsen the prediction; uncertain terms are added if they improve it.
+        The plain fit with the chosen terms, and its errors. Terms that the fitted runs determine are left out
+        if the error is smaller without them; uncertain terms are added if it is worse without them
+        (`judge.delivery.is_worse_than`).
     """
     best, reference = plain, _plain_errors(plain, evaluated)
     for simpler in reversed(plain.simpler):
@@ -310,10 +313,11 @@ def confirmed(plain: PlainFit, evaluated: Evaluated) -> tuple[PlainFit, ModelEva
 
 
 def start_of_description(plain: PlainFit, evaluated: Evaluated) -> PlainFit:
-    """Return the plain fit with only those terms that clearly improve the prediction of the held-out runs.
+    """Return the plain fit with only those terms that clearly improve the simulation of the held-out runs.
 
-    A search for a description starts from it. A term that hardly helps may be false, and would hide a part of
-    what the description should find: a constant force that of a spring.
+    A term must reduce the squared error by more than a factor of 1.2 (`judge.delivery.description_helps`).
+    One that hardly helps may be false, and would hide a part of what the description should find: a constant
+    force that of a spring.
 
     Args:
         plain: Plain fit to the fitted runs.
@@ -371,16 +375,18 @@ def best_description(
 ) -> Description | None:
     """Return the description of the remaining error that predicts the held-out runs best.
 
+    A description consists of effects that are no named causes. Those whose names were withdrawn are tried
+    first; if they do not help or leave more than twice the noise, those of `further`. Each must be clearly
+    better than the best machine so far (`judge.delivery.description_helps`).
+
     Args:
-        judgment: Outcome of a search with its machines. Effects whose names were withdrawn are the first
-            description.
+        judgment: Outcome of a search with its machines.
         base: Machine without a description.
-        further: Search for other descriptions, used if the first one leaves more than noise. None: no search.
+        further: Search for other descriptions. None: no search.
         log: Called with a line of text for each description.
 
     Returns:
-        The best description; None if effects are named, only noise is left, or `base` predicts the held-out
-        runs as well.
+        The best description; None if effects are named, only noise is left, or no description helps.
     """
     evaluated, withdrawn = judgment
     outcome, test = evaluated.outcome, evaluated.test
@@ -444,7 +450,8 @@ def fit_to_describe(plain: PlainFit, evaluated: Evaluated, budget: Budget) -> Fi
         budget: Budget of the identification, in which the refitted machine is fitted in simulation.
 
     Returns:
-        The plain fit (`start_of_description`), or the refitted machine if it is better in the fitted runs.
+        The plain fit (`start_of_description`) or the refitted machine, whichever has the smaller simulation
+        cost in the fitted runs.
     """
     outcome, terms = evaluated.outcome, start_of_description(plain, evaluated)
     with budget.limiting(LAST_STAGE_END, delivers=True):
@@ -495,11 +502,11 @@ def _predicted_ratio(
 
 
 def description_line(labels: Sequence[str], ratio: float, *, helps: bool) -> str:
-    """Write a line of the log on whether effects describe the remaining error.
+    """Write a line of the log: whether effects describe the remaining error, and what it is with them.
 
     Args:
-        labels: Labels of the effects.
-        ratio: Ratio of the errors on the held-out runs with / without the effects.
+        labels: Labels (name@site) of the effects.
+        ratio: Ratio of the simulation errors on the held-out runs with / without the effects, dimensionless.
         helps: Whether the machine with the effects is kept.
     """
     error = f"{ratio:.3g} times the error on the held-out runs"
@@ -510,14 +517,17 @@ def description_line(labels: Sequence[str], ratio: float, *, helps: bool) -> str
 def description_sentence(
     labels: Sequence[str], ratio: float, lacking: float | None, without: float | None
 ) -> str:
-    """Write a sentence for the report on what a description improves.
+    """Write sentences for the report: which effects describe the remaining error, and how well.
+
+    They add that this holds for complete runs only, if the machine with the effects lacks more than 1.2 times
+    the force that is missing without them (`judge.delivery.forces_contradict`).
 
     Args:
-        labels: Labels of the effects.
-        ratio: Ratio of the errors on the held-out runs with / without the effects.
-        lacking: Missing force of the machine with the effects, relative to the force of the drives; None if
-            unknown.
-        without: Missing force of the refitted machine, relative to the force of the drives; None if unknown.
+        labels: Labels (name@site) of the effects.
+        ratio: Ratio of the simulation errors on the held-out runs with / without the effects, dimensionless.
+        lacking: Missing force of the machine with the effects, as a fraction of the force of the drives, rms;
+            None if unknown.
+        without: Missing force of the refitted machine, as the same fraction; None if unknown.
     """
     sentence = _DESCRIPTION.format(", ".join(labels), ratio)
     if lacking is None or without is None or not forces_contradict(lacking, without):
