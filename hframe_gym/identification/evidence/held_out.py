@@ -142,7 +142,7 @@ def is_excited(selected: SelectedEffect, machine: Machine, held_out: Dataset, ba
     return judge.is_excited(float(change), float(error))
 
 
-def shown_effects(
+def held_out_evidence(
     selected: Sequence[SelectedEffect], machine: Machine, held_out: Dataset, bandwidth: float
 ) -> dict[str, judge.HeldOutEffect]:
     """Return what the held-out runs say about several effects: gains, and whether they depend on them.

@@ -205,7 +205,9 @@ class SearchState:
         return self.missing_force[self.machine.coordinate_of_site(site, effect.site) or ""]
 
     def covers(self, effect: Effect, site: str, values: Mapping[str, float]) -> bool:
-        """Return whether the runs can determine an effect with given parameter values, see `coverage`.
+        """Return whether the runs can determine an effect with given parameter values.
+
+        Each value must lie within the range of `coverage` at this site.
 
         Args:
             effect: Effect at the site.
@@ -220,7 +222,10 @@ class SearchState:
         )
 
     def candidate(self, effect: Effect, site: str, values: Mapping[str, float]) -> Candidate:
-        """Return a candidate; amplitudes get their typical sizes, and phases are those of sine and cosine.
+        """Return an effect at a site as a candidate with given starting values.
+
+        Its amplitudes get their typical sizes. An effect with a phase gets two basis functions, sine and
+        cosine.
 
         Args:
             effect: Effect to propose.
@@ -339,12 +344,14 @@ def _columns(
 
 
 def covered_by_runs(parameter: EffectParameter) -> bool:
-    """Return whether the motion of the runs limits the values of a parameter that they can determine.
+    """Return whether the motion of the runs limits which values of a parameter they can determine.
 
-    See `coverage`.
+    Args:
+        parameter: Parameter of an effect.
 
     Returns:
-        True for periods and rates, speed scales, and time constants of changes over the session.
+        True for periods and spatial rates, speed scales, and time constants of changes over the session;
+        False for all others, such as amplitudes.
     """
     return parameter.role in ("period", "rate") or (
         parameter.role == "shape" and parameter.unit in ("speed", "s")
@@ -358,10 +365,12 @@ def coverage(parameter: EffectParameter, scales: Mapping[str, float]) -> tuple[f
     speed from viscous friction, a time constant longer than the session from a change at a constant rate.
 
     Args:
+        parameter: Parameter of the effect.
         scales: Typical sizes at its component, by unit (`TypicalScales`).
 
     Returns:
-        Smallest and largest value, SI; infinite where the runs set no limit.
+        Smallest and largest value, SI; -inf and inf where the runs set no limit, as for any parameter for
+        which `covered_by_runs` is False.
     """
     if not covered_by_runs(parameter):
         return -np.inf, np.inf

@@ -78,7 +78,7 @@ class Signals:
 
     @property
     def count(self) -> int:
-        """Number of rows that are compared."""
+        """Number of rows that are compared, of all runs together."""
         return sum(map(len, self._kept))
 
     def __getitem__(self, name: str) -> Array:
@@ -89,8 +89,9 @@ class Signals:
         """Select, from columns at all rows, shape (rows of all runs, k), the n compared rows, shape (n, k).
 
         Args:
-            lag: Numerator and denominator of a filter that is applied first, shape (order + 1,) each.
-                Default: none.
+            columns: Values of any unit, the runs one after the other.
+            lag: Numerator and denominator of a digital filter, in descending powers of z, that is applied to
+                each run first, shape (order + 1,) each. Default: none.
         """
         by_run = [columns[of_run] for of_run in self._slices]
         if lag is not None:
@@ -98,12 +99,12 @@ class Signals:
         return self.thinned(by_run)
 
     def thinned(self, by_run: list[Array]) -> Array:
-        """Select the n compared rows of signals, shape (n, k).
+        """Select the n compared rows of signals, shape (n, k): rows of motion at the rate of the comparison.
 
         If the compared forces are filtered, the signals are first filtered in the same way, below 30 Hz.
 
         Args:
-            by_run: Signals at all rows of each run, shape (rows of the run, k).
+            by_run: Signals at all rows of each run, in any unit, shape (rows of the run, k).
         """
         if self._filtered:
             by_run = [low_pass(values, self.period) for values in by_run]
@@ -114,14 +115,16 @@ class Signals:
 
         Args:
             name: Name of the variable (`variables_of_motion`).
-            filter_of_run: Filter of one run, from shape (rows of the run,) to (rows of the run, k).
+            filter_of_run: Function of the variable in one run, shape (rows of the run,), that returns k
+                columns, shape (rows of the run, k).
         """
         return np.concatenate([filter_of_run(self._variables[name][rows]) for rows in self._slices])
 
     def pieces(self) -> NDArray[np.int64]:
         """Return the index of the first compared row of each piece, shape (pieces,).
 
-        A piece is a run, or a part of a run if there are few runs.
+        Each piece is left out once in a cross-validation. It is a run; of fewer than six runs, an equal part
+        of one, so that there are at least six pieces.
         """
         each = max(1, -(-_PIECES // len(self._kept)))
         firsts, first = [], 0
@@ -195,7 +198,9 @@ class CauseComparison:
         return np.stack(columns, axis=1)
 
     def direction(self, index: int) -> Array:
-        """Return the response of each channel to a unit cause, in units of its noise, shape (channels,).
+        """Return what a unit cause changes in each channel, in units of its noise, shape (channels,).
+
+        A channel is a motion along which forces are missing, or a combination of sensors that disagree.
 
         Args:
             index: Index of the coordinate on which a force of 1 N or 1 Nm acts, or, where disagreements of
@@ -204,10 +209,11 @@ class CauseComparison:
         return self._directions[:, index]
 
     def target(self, index: int) -> Array:
-        """Return the values that a cause at `index` should explain, without lag, shape (n,).
+        """Return the course of a cause at `index` that would explain most, up to a factor, shape (n,).
 
-        They are the sum over the channels of `direction` times the unexplained values, both in units of the
-        noise, at the compared rows.
+        It is the sum over the channels of `direction` times the unexplained values, both in units of the
+        noise, at the compared rows. A curve of a cause is chosen by its correlation with it. The lag of an
+        observer is removed.
 
         Args:
             index: Index as in `direction`.
@@ -232,14 +238,19 @@ class CauseComparison:
         return designs
 
     def explained(self, cause: Cause) -> tuple[float, float, float]:
-        """Compute how much of the unexplained values a cause explains, in units of their noise.
+        """Compute how much of the unexplained values a cause explains.
+
+        The curves of the cause are fitted to all pieces of the runs but one, and compared with the values in
+        that piece, for each piece in turn. Sums of squares are those of values in units of their noise,
+        dimensionless.
 
         Args:
             cause: Cause, of whose curves the best linear combination is fitted.
 
         Returns:
-            reduction: Reduction of the sum of squares in pieces of the runs to which the cause was not
-            fitted. certain: The reduction minus its standard error, from the differences between the pieces.
+            reduction: Reduction of the sum of squares by these fits, summed over the pieces that they leave
+            out; 0 if there is none.
+            certain: The reduction minus its standard error, from the differences between the pieces.
             fraction: Explained part of the values beyond noise, with a fit to all pieces; what the cause
             explains of the noise is subtracted.
         """

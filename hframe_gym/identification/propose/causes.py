@@ -39,12 +39,16 @@ _LAGS_S = (0.005, 0.02, 0.05)  # time constants of what belts do after a change 
 def causes_of_force(
     machine: Machine, comparison: CauseComparison, directions: Array, deviating: NDArray[np.bool_]
 ) -> Iterator[Cause]:
-    """Yield possible causes of the missing force: at each coordinate, each drive, all drives, and the clock.
+    """Yield possible causes of the missing force, as curves that `CauseComparison` fits.
+
+    They act on each coordinate (a constant force, forces and friction over a variable, a resonance), by each
+    drive, by all drives together (such as a supply that sags), and by a clock that drifts.
 
     Args:
+        machine: Machine with its coordinates and drives.
         comparison: Comparison with the missing force.
-        directions: Force along each motion per force on a coordinate, dimensionless,
-            shape (motions, coordinates). A force on a coordinate without an influence is no cause.
+        directions: Force along each motion per force on a coordinate, dimensionless, shape (motions,
+            coordinates). A force on a coordinate without an influence is no cause.
         deviating: Coordinates whose sensors show more than noise, shape (coordinates,). Other coordinates and
             their drives get no cause; if none deviates, nothing is yielded.
     """
@@ -151,11 +155,16 @@ def _clock(machine: Machine, signals: Signals, acting: list[int]) -> Cause:
 def causes_of_disagreement(
     machine: Machine, comparison: CauseComparison, deviating: NDArray[np.bool_]
 ) -> Iterator[Cause]:
-    """Yield possible causes of disagreeing sensors: a sensor error, play or slip behind a motor, belt creep.
+    """Yield possible causes of disagreeing sensors, as curves that `CauseComparison` fits.
+
+    They are an error of a sensor that depends on the position (also periodically) or the speed of its
+    coordinate; play or bending between a motor and its sensor, by the drive's load; slip of belts, by the
+    integral of this load; and creep of belts.
 
     Args:
+        machine: Machine with its sensors and drives.
         comparison: Comparison with the disagreement.
-        deviating: Sensors that show more than noise, shape (sensors,).
+        deviating: Sensors that show more than noise, shape (sensors,); others get no error of their sensor.
     """
     signals = comparison.signals
     by_coordinate = {sensor.coordinate: j for j, sensor in enumerate(machine.sensors) if sensor.of_position}

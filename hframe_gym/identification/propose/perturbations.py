@@ -165,7 +165,7 @@ def candidate_perturbations(unperturbed: Unperturbed, perturbed: Sequence[Pertur
 
 
 def acts_on_sensors(effect: Effect) -> bool:
-    """Return whether an effect changes measurements instead of forces."""
+    """Return whether an effect changes or delays a sensor's measurements instead of adding forces."""
     return bool(effect.measurement or effect.measurement_delay)
 
 

@@ -119,7 +119,8 @@ class Screening:
             fit: Fit of the machine without the candidates.
             candidates: Candidates, at least one.
             data: Runs that were fitted.
-            without: By the label of an effect, the fitted machine without it. Default: none.
+            without: Machine that was fitted without an effect, by the label of the effect; `in_place_of`
+                ranks the candidates for its place. Default: none.
             compared: Effects of the machine that the candidates may resemble, each with its parameters as the
                 only basis function. They neither add coordinates nor replace dry friction.
         """
@@ -219,7 +220,7 @@ class Screening:
         precision = prior_precision(free) + np.diag(_RIDGE * np.diag(equations.information))
         names = {f.name for f in free}
         theta = self.fit.theta[[f.name in names for f in self.fit.free]]
-        limited = LimitedResidual.where_in_the_way(equations, precision, free, theta)
+        limited = LimitedResidual.where_limits_bind(equations, precision, free, theta)
         if limited is not None:
             chi2 = self.fit.chi2
             scored = [_limited_score(limited, c, columns, chi2) for c, columns in self._with_columns(0)]
@@ -277,12 +278,13 @@ class LimitedResidual:
         self.least_cost, self._least = equations.cost_after(step), self._change(equations.gradient, step)
 
     @classmethod
-    def where_in_the_way(
+    def where_limits_bind(
         cls, equations: NormalEquations, precision: Array, free: Sequence[FreeParameter], theta: Array
     ) -> LimitedResidual | None:
-        """Return the linearized residual with limits, or None if no free parameter reaches its limits.
+        """Return the linearized residual with limits, or None if no limit matters.
 
-        Also None if the equations are not finite, because a simulation diverges.
+        None matters if the best step of the linear model, without limits, ends within the limits of all
+        parameters. The result is also None if the equations are not finite, because a simulation diverges.
 
         Args:
             equations: Normal equations with k free parameters.
@@ -337,12 +339,17 @@ class LimitedResidual:
     ) -> tuple[Array, float]:
         """Return the amounts of b responses, shape (b,), that reduce the cost most, and the reduction.
 
+        The free parameters adapt within their limits, without the responses and with them.
+
         Args:
             columns: Indices of the responses, shape (b,).
             ridge: Regularization matrix, added to the inner products of the responses, dimensionless, shape
                 (b, b).
             low: Smallest amounts, dimensionless, shape (b,).
             high: Largest amounts, dimensionless, shape (b,).
+
+        Returns:
+            Amounts and reduction, both dimensionless.
         """
         cross = self._equations.cross_products[:, columns]
         information = self.information(columns)
@@ -361,7 +368,7 @@ class LimitedResidual:
         return self._equations.response_information[np.ix_(columns, columns)]
 
     def finite(self, columns: NDArray[np.intp]) -> bool:
-        """Return whether responses are finite; they are not where their simulation diverges.
+        """Return whether the products of responses are finite; not if a simulation of one diverges.
 
         Args:
             columns: Indices of the responses, shape (b,).
@@ -413,7 +420,14 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[Sco
 
 
 def screening_model(fit: Fit, data: Dataset) -> ResidualModel:
-    """Return the residual model of a fit, with rows combined to short blocks to save time."""
+    """Return the residual of a fit as a function of its free parameters, as screening linearizes it.
+
+    The rows within 4 ms are combined to one (`mechanical_rows_per_block`), to save time.
+
+    Args:
+        fit: Fit with its machine, free parameters and observer.
+        data: Runs that were fitted.
+    """
     return ResidualModel(
         fit.machine, fit.free, data, fit.bandwidth, rows_per_block=mechanical_rows_per_block(data)
     )

@@ -121,7 +121,7 @@ def _structure_gains(
 
     equations = model.linearize(current.theta, responses).normal_equations
     precision = prior_precision(current.free)
-    limited = LimitedResidual.where_in_the_way(equations, precision, current.free, current.theta)
+    limited = LimitedResidual.where_limits_bind(equations, precision, current.free, current.theta)
     if limited is not None:
         gains = np.array([limited.gain_of_positive(k) for k in range(len(equations.response_gradient))])
     else:

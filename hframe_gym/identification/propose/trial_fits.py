@@ -212,7 +212,7 @@ def structural_trial_fits(
 
 
 def best_error(trials: list[Fit]) -> FitError | None:
-    """Return the smallest error among trials; None without trials."""
+    """Return the error of the trial with the smallest cost; None without trials."""
     return min(trials, key=lambda trial: trial.cost).error if trials else None
 
 
@@ -453,8 +453,8 @@ def fit_with_effects(current: Fit, effects: Sequence[AppliedEffect], data: Datas
 def start_with_effects(current: Fit, effects: Sequence[AppliedEffect]) -> Machine:
     """Return the machine from which a fit with more effects starts.
 
-    If an effect is structural, it has the declared parameters, because the present ones compensate for the
-    missing effect.
+    Its parameters are those of the fit. If an effect adds coordinates, they are the declared ones, because
+    the fitted ones compensate for the missing effect.
 
     Args:
         current: Fit without the effects.
@@ -506,12 +506,13 @@ def converge(trial: Fit, data: Dataset, *, thorough: bool) -> Fit:
 
 
 def machine_without(machine: Machine, label: str, refitted: Machine) -> Machine | None:
-    """Return a machine without one of its effects, with the same parameters.
+    """Return a machine without one of its effects, with the same values of all other parameters.
 
     Args:
+        machine: Machine with the effect.
         label: Label of the effect: its name and the component on which it acts, such as "cogging@motor1".
-        refitted: Machine before effects were added. It is used only if the effect is structural (adds
-            coordinates).
+        refitted: Machine before effects were added. If the effect adds coordinates, the other effects are
+            added to this one anew, because components may have changed.
 
     Returns:
         Copy of the machine; None if another effect requires the effect or acts on a coordinate that the
@@ -536,11 +537,14 @@ def without_effect(
 ) -> Fit | None:
     """Remove one effect from the machine and fit the remaining free parameters again.
 
+    If it requires another effect at its site with the same parameters, of which it may be the larger part, a
+    second fit starts with its parameters in this other effect; the better fit counts.
+
     Args:
         current: Fit of the machine with the effect; the new one has the same observer bandwidth.
         label: Label of the effect: its name and the component on which it acts, such as "cogging@motor1".
-        refitted: Machine before effects were added. It is used only if the effect is structural (adds
-            coordinates).
+        data: Runs that were fitted.
+        refitted: Machine before effects were added (`machine_without`).
         thorough: Whether to fit until convergence with the shortest integration step, rather than with few
             iterations.
 

@@ -114,10 +114,11 @@ def scales_of_motion(
 
 
 def typical_scales(current: Fit, data: Dataset) -> TypicalScales:
-    """Compute typical forces, speeds and travels of a machine, which multiply starting values of effects.
+    """Compute typical sizes of forces, speeds, travels and so on, which multiply starting values of effects.
 
     Args:
-        current: Fit of the machine, which predicts the motion.
+        current: Fit of the machine, which predicts the motion with the widest observer.
+        data: Runs that were fitted.
 
     Returns:
         The sizes of `scales_of_motion`, and in `general` also "session": the time from the beginning of the

@@ -21,8 +21,8 @@ from ..budget import LAST_STAGE_END, SECOND_SEARCH_PART, Budget, BudgetEndedErro
 from ..evidence.effect_variables import describes_one_run
 from ..evidence.held_out import (
     contradicting_held_out_runs,
+    held_out_evidence,
     runs_with_effects,
-    shown_effects,
     worsens_simulation,
 )
 from ..evidence.significance import TestedFit, doubt_beside_others
@@ -507,7 +507,7 @@ def _is_confirmed(outcome: SearchOutcome, held_out: Dataset) -> bool:
         return False
     machine = outcome.after.machine
     runs = refine_dataset(held_out, machine, outcome.data)
-    shown = shown_effects(outcome.selected, machine, runs, outcome.bandwidth)
+    shown = held_out_evidence(outcome.selected, machine, runs, outcome.bandwidth)
     return exchange_confirms([*shown.values()])
 
 
@@ -545,7 +545,7 @@ def without_unconfirmed(
     while outcome.selected and held_out.runs:
         after, selected = outcome.after, outcome.selected
         runs = refine_dataset(held_out, after.machine, data)
-        shown = shown_effects(selected, after.machine, runs, outcome.bandwidth)
+        shown = held_out_evidence(selected, after.machine, runs, outcome.bandwidth)
         refuted, reason = refuted_effects(
             shown, partial(worsens_simulation, before.machine, after.machine, runs)
         )

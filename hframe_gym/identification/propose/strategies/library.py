@@ -26,10 +26,16 @@ _BLOCK_S = 4e-3
 
 @STRATEGIES.register("library")
 def library(state: SearchState) -> Iterator[Candidate]:
-    """Propose the effects of the library at all their sites.
+    """Propose the effects of the library at all their sites (`SearchState.sites`).
+
+    Starting values of widths, speeds and times are the effect's multiples of typical sizes; those of periods
+    are peaks of a periodogram. Values that the runs cannot determine are left out.
+
+    Args:
+        state: State of the search.
 
     Yields:
-        One candidate per effect, site and set of starting values, at most 64 per effect and site.
+        One candidate per effect, site and combination of starting values, at most 64 per effect and site.
     """
     for effect in EFFECTS.values():
         for site in state.sites(effect):

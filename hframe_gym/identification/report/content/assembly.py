@@ -47,12 +47,17 @@ def build_result(
 ) -> IdentificationResult:
     """Collect the result of what an identification delivers, and propose an experiment.
 
+    The uncertainty of the parameters, the sizes of the effects and their gains on the held-out runs are
+    computed here. The experiment is the run that would distinguish an effect from its rival, for the first
+    effect with such a run.
+
     Args:
         delivered: The outcome with its machines and their errors.
         found: Outcome of the search, with the held-out runs that contradict the fitted ones.
         remarks: What the user should know about the runs, one sentence each.
         differences: Differences between the runs. If they explain the error, no variables are listed on which
             the missing force depends, because these would only reflect the differences.
+        budget: Budget of the identification; its end shortens the estimate of the uncertainty.
         unstable: Whether an unstable motion causes the remaining simulation error.
     """
     evaluated = delivered.evaluated

@@ -22,7 +22,7 @@ class ReportPart(BaseModel):
     model_config = ConfigDict(extra="ignore", strict=True)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the fields that have been set, as plain data, in the order of their declaration."""
+        """Return the fields that have been set as plain data for JSON, in the order of their declaration."""
         return self.model_dump(by_alias=True, exclude_unset=True)
 
 
@@ -93,12 +93,12 @@ class Evaluation(ReportPart):
 
     @property
     def channels(self) -> dict[str, ChannelErrors]:
-        """The errors by channel."""
+        """Simulation errors by name of the output channel, without `force_error`."""
         return {name: error for name, error in self.held_out.items() if isinstance(error, ChannelErrors)}
 
     @property
     def force_error(self) -> float | None:
-        """Error of the drives' force by inverse dynamics over that force, rms, dimensionless, or None."""
+        """Error of the drives' force by inverse dynamics / this force, rms, dimensionless, or None."""
         error = self.held_out.get("force_error")
         return None if isinstance(error, ChannelErrors) else error
 
@@ -110,7 +110,7 @@ class Evaluation(ReportPart):
 
     @property
     def percents_of_motion(self) -> list[float]:
-        """Errors in percent of the motion, of each channel that moves."""
+        """Simulation errors in percent of the motion, one of each channel that moves."""
         percents = (error.percent_of_motion for error in self.channels.values())
         return [percent for percent in percents if percent is not None]
 
@@ -328,7 +328,10 @@ class Report(ReportPart):
 
     @property
     def machines(self) -> dict[str, Evaluation]:
-        """All machines with their errors, by key: those of `STAGES`, and "plain" for a plain fit."""
+        """All machines with their errors, by key: those of `STAGES`, and "plain" for a plain fit.
+
+        `STAGES` are "declared", "before" (refitted) and "after" (delivered).
+        """
         machines = {stage: getattr(self, stage) for stage in STAGES}
         return machines | ({"plain": self.plain} if self.plain else {})
 

@@ -63,14 +63,15 @@ class ProposedFormula:
 
     @property
     def mean_noise_ratio(self) -> float:
-        """Mean over the channels of rms error / sensor noise, dimensionless, on held-out runs, or NaN.
+        """Mean over the channels of rms error / sensor noise on the held-out runs, dimensionless.
 
-        `PredictionErrors.noise_ratio` is the root mean square over the channels instead.
+        It is NaN if the errors are not computed. `PredictionErrors.noise_ratio` is the root mean square over
+        the channels instead.
         """
         return mean_error(self.held_out)
 
     def as_entry(self) -> document.Formula:
-        """Return the formula as in report.json."""
+        """Return the formula as an entry of `proposed_formulas` in report.json."""
         effect, formula = self.effect, self.effect.formula
         return document.Formula(
             table=effect.table.label,
@@ -168,11 +169,11 @@ class TableComparison:
 
     @property
     def mean_noise_ratio(self) -> float:
-        """Mean over channels of rms error / sensor noise, dimensionless, on held-out runs, with table."""
+        """Mean over channels of rms error / noise with the table, dimensionless, on held-out runs."""
         return mean_error(self.held_out)
 
     def as_entry(self) -> document.TableOfFormulas:
-        """Return the comparison as in report.json."""
+        """Return the table with its formulas as an entry of `proposed_formulas` in report.json."""
         return document.TableOfFormulas(
             table=self.table.label,
             complexity=KNOTS,

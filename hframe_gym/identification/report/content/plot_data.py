@@ -17,7 +17,11 @@ _LEAST_POINTS = 4000
 
 
 def plot_data(result: IdentificationResult) -> ResultCurves:
-    """Compute the curves of the report's plots; those of the fitted runs are thinned to under 8000 rows.
+    """Compute the curves of the report's plots.
+
+    They are the errors of all machines on the held-out runs, the missing force over the variable on which it
+    depends most, and the positions, velocities and inputs that the fitted runs cover. Of curves of the fitted
+    runs, every k-th row is kept, so that fewer than 8000 remain.
 
     Args:
         result: Result of an identification: machines, selected effects, fitted and held-out runs.

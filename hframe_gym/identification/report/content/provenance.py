@@ -15,11 +15,11 @@ from .document import File, Made
 
 
 def provenance(files: Sequence[Path]) -> Made:
-    """Describe the origin of a result: the time, the version of the package and the recordings' files.
+    """Return the origin of a result: the present time, the version of the package and the recordings' files.
 
     Args:
-        files: Files of the recordings, of which name, size and SHA-256 are stated; those that do not exist
-            are left out. Empty if the recordings come from no files.
+        files: Files of the recordings, of which name, size in bytes and SHA-256 are stated; those that do not
+            exist are left out. Empty if the recordings come from no files.
     """
     return Made(
         software=NAME_AND_VERSION,

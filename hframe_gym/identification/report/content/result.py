@@ -146,14 +146,17 @@ class IdentificationResult:
 
     @property
     def left_in_others(self) -> float:
-        """The ratio `left` over the held-out runs that do not contradict the fitted runs, or NaN."""
+        """The ratio `left` over the held-out runs that do not contradict the fitted ones.
+
+        It is NaN if all contradict them, or if the simulation diverges.
+        """
         errors = [error for name, error in self.after.errors.items() if name not in self.contradicting]
         channels = errors_by_channel(errors, self.after.machine, self.held_out.noise) if errors else {}
         return PredictionErrors(channels, None).noise_ratio
 
     @property
     def evaluations(self) -> dict[str, ModelEvaluation]:
-        """The machines with their errors, by the names "declared", "before" and "after"."""
+        """Machines with their errors, by the names "declared", "before" (refitted), "after" (delivered)."""
         return dict(zip(document.STAGES, (self.declared, self.before, self.after), strict=True))
 
     @property
@@ -167,12 +170,12 @@ class IdentificationResult:
 
     @property
     def limit_warnings(self) -> tuple[str, ...]:
-        """Warnings about masses, belt stiffnesses and torque constants at a limit, one sentence each."""
+        """Warnings about parameters of the delivered machine at a limit, one sentence each."""
         return tuple(parameters_at_limit(self.after.machine, self.declared.machine).values())
 
     @property
     def slow_changes(self) -> tuple[str, ...]:
-        """Notes on effects that last longer than the runs, one sentence each."""
+        """Notes on effects whose time constant the runs are too short to show, one sentence each."""
         changes = (slow_change(s.effect, self.after.machine) for s in self.effects)
         return tuple(change.describe() for change in changes if change)
 
@@ -197,11 +200,11 @@ class IdentificationResult:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Further limits of the result, one sentence each: on parameters, slow effects, unused runs."""
+        """All warnings of this class in one sequence: at limits, slow changes, divergence, runs."""
         return (*self.limit_warnings, *self.slow_changes, *self.divergence_warnings, *self.run_warnings)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the content of report.json as plain data; see `as_report`."""
+        """Return the content of report.json as plain data: numbers, text, lists, dictionaries."""
         return self.as_report().as_json()
 
     def as_report(self) -> document.Report:

@@ -78,10 +78,10 @@ class ResultCurves:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, Array], runs: Iterable[str]) -> ResultCurves:
-        """Return the curves that evidence.npz holds.
+        """Return the curves that evidence.npz holds, the inverse of `as_arrays`.
 
         Args:
-            arrays: Arrays by the names of `as_arrays`, SI, shape (n,), (n, sensors) or (m,).
+            arrays: Arrays by the names of `as_arrays`, SI, shape (n,), (n, sensors), (n, drives) or (m,).
             runs: Names of the held-out runs.
         """
         force = None

@@ -74,7 +74,7 @@ class ExperimentDesign:
 
     @property
     def why(self) -> str:
-        """Purpose and expected effect of the run in English sentences, for the report."""
+        """Sentences for the report: which effects the run distinguishes, and how clearly."""
         first, second = self.separates
         size = (
             f"by {self.sigma:.3g} standard deviations of the sensors' noise in total "
@@ -316,15 +316,16 @@ def _unexplained_difference(
 def after_adaptation(jacobian: Array, difference: Array) -> Array:
     """Return the difference of two predictions that remains after one machine's parameters adapt to it.
 
-    The parameters adapt within their covariance.
+    They adapt so that the squared remaining difference plus the squared change of the parameters, in standard
+    deviations, is smallest.
 
     Args:
-        jacobian: Change of the difference by one standard deviation in each direction of the covariance,
-            dimensionless, shape (k, values).
-        difference: Difference, dimensionless, shape (values,).
+        jacobian: Change of the difference by one standard deviation in each direction of the covariance, in
+            standard deviations of the noise, dimensionless, shape (k, values).
+        difference: Difference, in the same unit, dimensionless, shape (values,).
 
     Returns:
-        Remaining difference, shape (values,).
+        Remaining difference, dimensionless, shape (values,).
     """
     # Of full rank by the identity, however much a machine close to instability responds.
     k = len(jacobian)

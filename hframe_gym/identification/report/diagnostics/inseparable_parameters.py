@@ -64,7 +64,9 @@ class InseparableParameters:
         return f"only {' and '.join(sums)} {'is' if len(sums) == 1 else 'are'} determined"
 
     def determined(self, machine: Machine) -> tuple[DeterminedSum, ...]:
-        """Return the weighted sums that the data determine, with their values.
+        """Return the weighted sums that the data determine, with value and standard deviation.
+
+        Both are in the unit of the first parameter of a sum.
 
         Args:
             machine: Identified machine with its uncertainty.

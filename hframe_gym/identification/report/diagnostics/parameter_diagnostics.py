@@ -148,7 +148,9 @@ def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
 
 
 def is_limited(parameter: FreeParameter, value: float) -> bool:
-    """Return whether a limit of the fit determines a value; a plain fit may lie beyond it, having none.
+    """Return whether a limit of the fit determines a value: it is at the limit, not beyond it.
+
+    A value beyond the limit comes from a plain fit, which has none.
 
     Args:
         parameter: Parameter whose limits count.

@@ -36,7 +36,7 @@ class SlowChange:
     unit: str
 
     def describe(self) -> str:
-        """State the least value and the rate, per minute, in one sentence."""
+        """Return a sentence with the rate per minute, its deviation, and the least time constant."""
         rate, std, unit = (60.0 * self.rate, 60.0 * self.rate_std, f"{self.unit}/min")
         if self.unit == "1" or self.unit.startswith("1/"):  # a relative change
             rate, std = 100.0 * rate, 100.0 * std
@@ -51,14 +51,14 @@ class SlowChange:
 def slow_change(effect: AppliedEffect, machine: Machine) -> SlowChange | None:
     """Return what is determined of an effect whose time constant may be of any length; None for others.
 
-    A long time constant acts through its inverse, whose standard deviation is known where that of the time
-    constant itself is not. Where it is poorly determined, the priors of the fit, whose centers are values
-    that the session shows, make it too short by about a standard deviation or more. It then has a least value
-    only.
+    It may be if the standard deviation of the time constant is more than 20 % of its value. A long time
+    constant acts through its inverse, so that the rate, amplitude / time constant, is known where the time
+    constant is not. The priors of the fit, whose centers are values that the session shows, then make it too
+    short by about a standard deviation or more: only its least value is stated.
 
     Args:
         effect: Identified effect.
-        machine: Machine with the covariance of its parameters.
+        machine: Machine with the covariance of its parameters; without one, the result is None.
     """
     uncertainty = machine.uncertainty
     for p in effect.definition.parameters:

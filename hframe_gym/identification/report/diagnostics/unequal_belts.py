@@ -38,7 +38,7 @@ class UnequalBelts:
     stds: float
 
     def sentence(self) -> str:
-        """State the difference in percent, with its interval, and what to check."""
+        """Return a sentence: by how many percent the softer section is less stiff, and what to check."""
         percents = [100.0 * (1.0 - ratio) for ratio in (self.ratio, self.high, self.low)]
         decimals = max(0, -math.floor(math.log10(percents[2] - percents[1])))  # the interval has one digit
         less, least, most = (f"{value:.{decimals}f}" for value in percents)

@@ -61,11 +61,17 @@ class ErrorCorrelations(NamedTuple):
     limit: float
 
     def outside(self) -> dict[str, float]:
-        """Return the fraction of coefficients at positive lags that exceed `limit`, by name of the signal."""
+        """Return the fraction of coefficients at positive lags with a magnitude above `limit`.
+
+        It is dimensionless, and about 0.01 for white noise.
+
+        Returns:
+            Fraction by name of the signal: "itself" or an input.
+        """
         return {name: float(np.mean(np.abs(r[1:]) > self.limit)) for name, r in self.values.items()}
 
     def panel(self) -> Panel:
-        """Return the plot of the correlations, with the band that contains 99 % of those of white noise."""
+        """Return the plot of the correlations over the lag, with the band of 99 % of white noise."""
 
         def draw(axes: Any) -> None:
             axes.axhspan(-self.limit, self.limit, color=color("muted"), alpha=0.3, lw=0)

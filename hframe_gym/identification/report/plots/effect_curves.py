@@ -43,7 +43,7 @@ class EffectCurve:
     std: Array
 
     def panel(self) -> Panel:
-        """Return the plot of the curve with a band of two standard deviations."""
+        """Return the plot of the curve, with a band of two standard deviations to each side."""
         spread = _BAND * self.std
         low, high = self.y - spread, self.y + spread
 

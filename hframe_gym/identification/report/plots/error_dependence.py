@@ -26,11 +26,14 @@ _SMOOTHED_S = 0.02
 def error_panels(report: Report, curves: ResultCurves, machine: Machine) -> list[Panel]:
     """Prepare plots of each channel's simulation error over its measurement, and of positions over speed.
 
-    The measurements, not the simulated values, are used, so that the axes do not depend on the machine. All
-    held-out runs count.
+    They show means of the errors of the delivered machine in intervals of this variable, over all held-out
+    runs, with the band in which 99 % of those of white noise lie. The measurements, not the simulated values,
+    are used, so that the axes do not depend on the machine.
 
     Args:
-        machine: Identified machine.
+        report: Content of report.json.
+        curves: Curves of the same result.
+        machine: Identified machine, with its sensors.
 
     Returns:
         The panels; a channel that does not move has none.

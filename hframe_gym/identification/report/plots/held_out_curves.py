@@ -63,7 +63,10 @@ def run_ratio(report: Report, curves: ResultCurves, run: str, stage: str = "afte
 
 
 def worst_first(report: Report, curves: ResultCurves) -> list[str]:
-    """Return the names of the held-out runs by decreasing error of the delivered machine."""
+    """Return the names of the held-out runs, that with the largest error of the delivered machine first.
+
+    The error is `run_ratio`; a run without measurements is last.
+    """
     ratios = {run: run_ratio(report, curves, run) for run in report.runs.held_out}
     return sorted(ratios, key=lambda run: -(ratios[run] or 0.0))
 

@@ -65,7 +65,15 @@ def answers(
 
 
 def wrong_with_declared(saved: SavedResult) -> list[str]:
-    """Return what is wrong with the declared machine."""
+    """Return sentences on what is wrong with the declared machine, by the verdict.
+
+    With "effect_found", the effects; with "no_effect", that there are none; both with the parameters that
+    differ most from the declared ones and belts that differ. With "unexplained", on what the missing force
+    depends.
+
+    Args:
+        saved: The saved result.
+    """
     report = saved.report
     belts = [pair.sentence() for pair in unequal_belts(saved.machine, saved.declared, _CHANGED_STDS)]
     if report.verdict == "effect_found":
@@ -115,9 +123,10 @@ def _certainty(saved: SavedResult, effects: Sequence[EffectRow]) -> list[str]:
 
 
 def removed_by_effects(report: Report) -> list[str]:
-    """Return sentences on how much of the simulation error the effects remove, and why, if it is little.
+    """Return sentences on the fraction of the squared simulation error beyond noise that the effects remove.
 
-    There are none if the report does not state how much they remove.
+    If this is less than half and more than twice the noise is left, a second sentence says that a slower
+    cause is not explained. There are none if the report does not state the fraction.
     """
     if (explained := report.explained) is None:
         return []

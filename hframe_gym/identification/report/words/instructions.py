@@ -60,7 +60,7 @@ _MEASUREMENTS = (  # by the ending of a parameter's name, those first that are m
 def next_steps(
     saved: SavedResult, folder: Path, effects: Sequence[EffectRow], runs: Sequence[str]
 ) -> list[NextStep]:
-    """Return what to do next, the most important step first.
+    """Return what to do next, the most important step first: what to record, control, correct and measure.
 
     Args:
         saved: The saved result.

@@ -46,10 +46,11 @@ def tone_of_remainder(report: Report) -> Literal["good", "neutral", "warning"]:
 
 
 def percents_of_motion(evaluation: Evaluation) -> list[float]:
-    """Return errors in percent of the motion: of the channels that noise does not explain, else of all.
+    """Return errors in percent of the motion of those channels whose error is at least 1.3 times the noise.
 
-    The noise of a coarse sensor, such as that of a current, may be a larger part of its motion than what is
-    left at the positions, and says nothing of the model.
+    If there are none, those of all channels that move. The noise of a coarse sensor, such as that of a
+    current, may be a larger part of its motion than what is left at the positions, and says nothing of the
+    model.
     """
     above = [
         error.percent_of_motion
@@ -73,9 +74,11 @@ def drifts(report: Report) -> bool:
 
 
 def cause_of_remainder(report: Report) -> str:
-    """Return the end of a sentence with the cause of the remaining error, such as ", whose cause was ...".
+    """Return the end of a sentence about the remaining error: ", whose cause was not found." for example.
 
-    It is "" if the error is below 1.3 times the sensors' noise, or unknown because the simulation diverges.
+    If held-out runs contradict the fitted ones, these are the cause, and a sentence on the error of the other
+    runs follows; otherwise it is `reason_of_remainder`. The result is "" if the error is below 1.3 times the
+    sensors' noise, or unknown because the simulation diverges.
     """
     if (left := report.left) is None or left < NOTICEABLE_ERROR:
         return ""
@@ -148,13 +151,13 @@ def largest_position_error(evaluation: Evaluation) -> str:
 
 
 def in_user_units(evaluation: Evaluation) -> str:
-    """Return `largest_position_error` of a machine as text, such as "at most 12 µm rms at x_m"."""
+    """Return `largest_position_error` of a machine, preceded by "at most " if it has several channels."""
     most = "at most " if len(evaluation.channels) > 1 else ""
     return f"{most}{largest_position_error(evaluation)}"
 
 
 def missing_forces(evaluations: Sequence[Evaluation]) -> list[str]:
-    """Format the missing force of each of several machines with its unit, such as "3 %"; "" if unknown.
+    """Return the missing force of each of several machines as text, such as "3 %"; "" if unknown.
 
     They are in percent of the drives' force. If one exceeds 100 %, because the drives hardly acted, or if the
     commands do not determine the drives' force, all are in N or Nm.
@@ -168,14 +171,15 @@ def missing_forces(evaluations: Sequence[Evaluation]) -> list[str]:
 
 
 def parts_of_remainder(report: Report, *, error: bool = True) -> list[str]:
-    """Return phrases for the remaining error: as a length or angle, and relative to noise, motion and force.
+    """Return phrases for the remaining error on the held-out runs.
 
     Args:
         report: Content of report.json.
-        error: Whether to state it as a length or angle and in multiples of the noise.
+        error: Whether the first phrase states it as a length or angle and in multiples of the noise.
 
     Returns:
-        Phrases for what is known; empty if the delivered machine diverges.
+        This phrase, the error in percent of the motion, and the missing force, each if it is known; empty if
+        the delivered machine diverges.
     """
     if report.left is None:
         return []
@@ -196,10 +200,12 @@ def parts_of_remainder(report: Report, *, error: bool = True) -> list[str]:
 
 
 def remainder_in_words(report: Report, *, error: bool) -> list[str]:
-    """Return a sentence with the remaining error relative to motion and drive force, if they are known.
+    """Return a sentence with the remaining error in percent of the motion and the missing force.
 
     Args:
-        error: Whether to state the error as well, because no other sentence does.
+        report: Content of report.json.
+        error: Whether to state the error as a length or angle and in multiples of the noise as well, because
+            no other sentence does.
 
     Returns:
         One sentence, or none if nothing is known of motion and force.

@@ -75,10 +75,14 @@ class InseparableRow:
 
 
 def effect_rows(report: Report, machine: Machine) -> list[EffectRow]:
-    """Return the effects, the one with the largest held-out gain first.
+    """Return the selected effects as the page lists them, the one with the largest held-out gain first.
+
+    Each has its formula, its parameters with digits and units (none for a table), sentences on its force and
+    its gain, and its rivals.
 
     Args:
-        machine: Identified machine.
+        report: Content of report.json.
+        machine: Identified machine with these effects.
     """
     definitions = {e.label: e.definition for e in machine.effects}
     rows = []
@@ -123,7 +127,10 @@ def _gain_sentence(gain: float) -> str:
 
 
 def parameter_rows(machine: Machine, declared: Machine) -> list[ParameterRow]:
-    """Return every identified parameter except a table's, with standard deviation and reasons to doubt it.
+    """Return every identified parameter except a table's as the page lists it.
+
+    Each has its value, standard deviation, unit, declared value ("" if its effect is not declared) and the
+    reasons to doubt it ("" without any, `parameter_doubts`).
 
     Args:
         machine: Identified machine. Without an uncertainty, there are no rows.
@@ -153,7 +160,7 @@ def parameter_rows(machine: Machine, declared: Machine) -> list[ParameterRow]:
 
 
 def correlation_rows(machine: Machine) -> list[CorrelationRow]:
-    """Return the correlations of each identified parameter with the parameters before it.
+    """Return the correlation coefficients of each identified parameter with the parameters before it.
 
     Parameters of tables are left out. There are no rows if the machine has no uncertainty.
     """
@@ -176,8 +183,11 @@ def _tables(machine: Machine) -> tuple[str, ...]:
 def inseparable_rows(report: Report, machine: Machine) -> list[InseparableRow]:
     """Return the sets of parameters that the data do not separate, with the sums that they determine.
 
+    A set without such a sum has the text "no combination".
+
     Args:
-        machine: Identified machine.
+        report: Content of report.json.
+        machine: Identified machine, for the units.
     """
     rows = []
     for group in report.not_separable:

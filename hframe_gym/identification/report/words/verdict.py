@@ -32,15 +32,18 @@ def verdict_in_words(report: Report) -> str:
     """Describe the verdict and the error on the held-out runs in a few sentences.
 
     Sentences on voltages that the log lacks and on undeclared friction come first, where there are any. The
-    error is the simulation error in units of the sensors' noise, root mean square over the channels. If
-    the simulation drifts, the relative error of the drives' force is stated instead, if the report contains
-    it.
+    error is the simulation error in units of the sensors' noise, root mean square over the channels. If the
+    simulation drifts (`remainder.drifts`), the error of the drives' force in percent is stated instead.
     """
     return " ".join([*unknown_voltages(report), *undeclared_friction(report), _verdict_and_error(report)])
 
 
 def undeclared_friction(report: Report) -> list[str]:
-    """Return a sentence about friction that the motion shows and the machine file lacks; none without any."""
+    """Return a sentence about friction that the motion shows and the machine file lacks, if any.
+
+    It states value, standard deviation and unit, and of dry friction the percentage of the drives' largest
+    force.
+    """
     texts = []
     for friction in report.undeclared_friction:
         std = "" if friction.std is None else f" +- {friction.std:.2g}"
@@ -96,7 +99,8 @@ def complete_log(unknown: UnknownVoltages) -> str:
     """Return how to record what a log slower than its controller lacks, as an imperative clause.
 
     Args:
-        unknown: The voltages that the log lacks; the period of their changes is the one to log at.
+        unknown: The voltages that the log lacks; the period of their changes is the one to log at. If
+            measured currents make the log look slower, the clause says how to test this first.
     """
     advice = f"log every row of the controller (every {1e3 * unknown.period_s:.3g} ms)"
     if unknown.commands != "set points":
@@ -205,7 +209,10 @@ def found_effects(report: Report) -> str:
 
 
 def nearest_effects(report: Report) -> list[str]:
-    """Return a sentence about effects of the library that describe a part of the missing force, if any."""
+    """Return a sentence about effects of the library that describe a part of the missing force, if any.
+
+    It says that they are no causes. They are those of the report's `hint`.
+    """
     labels = report.hint.nearest if report.hint else []
     return (
         [f"The nearest effects of the library, which are no causes: {', '.join(labels)}."] if labels else []
@@ -213,11 +220,11 @@ def nearest_effects(report: Report) -> list[str]:
 
 
 def hidden_effects(report: Report) -> list[str]:
-    """Return sentences about effects that a log slower than its controller may hide, with their sizes.
+    """Return sentences about effects that a log slower than its controller may hide.
 
-    The first one states how much such an effect may change the motion: by the error that is left. The
-    effects that are listed reduced the error of both the fitted and the held-out runs, but failed a test. The
-    result is empty if only noise is left, or if the log contains all voltages.
+    The first one states how much such an effect may change the motion: by the error that is left. The second
+    lists up to three effects with their sizes that reduced the error of both the fitted and the held-out
+    runs, but failed a test. The result is empty if only noise is left, or if the log contains all voltages.
     """
     if report.unknown_voltages is None or not cause_of_remainder(report):
         return []
@@ -245,7 +252,7 @@ def _with_size(entry: Considered) -> str:
 
 
 def unfinished_search(report: Report) -> list[str]:
-    """Return a sentence that says why the search ended early; none if it is complete."""
+    """Return a sentence that says why the search ended early and what it did then; none if it is complete."""
     unfinished = report.unfinished
     if unfinished is None:
         return []
@@ -266,8 +273,9 @@ def _remainder(report: Report) -> str:
 
 
 def dependence_sentences(report: Report) -> list[str]:
-    """Return a sentence about sensors that deviate alone, or else about the main variable of the force.
+    """Return a sentence about sensors that deviate alone; otherwise one about the force that the model lacks.
 
+    It names the variable on which this force depends most, and the fraction of the variance that it explains.
     There is none if no sensor deviates alone and the missing force depends on no variable.
     """
     if sensors := report.residual.sensors:
