@@ -13,6 +13,8 @@ import torch
 
 from ..arrays import Array
 from ..dynamics import DifferentiableMotion, Equations, Friction, Motions
+from ..envs.batched_simulator import steps_of_period
+from ..envs.config import LONGEST_STEP
 from ..envs.rewards import ARRIVAL_WEIGHTS, SCALES
 from ..envs.tasks.base import ReferenceTrajectories
 from ..envs.workspace import EndStops
@@ -20,7 +22,7 @@ from ..errors import InputError
 from ..machine import Machine
 
 SAMPLES = 2  # samples of the tool position per control period that enter the cost
-INTEGRATION_STEP = 1e-3  # s, twice that of the environment; the gradient needs no higher accuracy
+COARSENING = 2  # steps of the environment in one step of the gradient, which needs no higher accuracy
 # Static friction can hold the tool up to 0.7 V. A derivative of zero there would hide from the policy that a
 # higher voltage moves it.
 FRICTION: Friction = "smoothed"
@@ -49,7 +51,9 @@ class SimulatedPeriod:
     """
 
     def __init__(self, machine: Machine, period: float) -> None:
-        self._end_stops = EndStops(machine, INTEGRATION_STEP)
+        part = period / SAMPLES
+        step = part / -(-steps_of_period(machine, part, LONGEST_STEP) // COARSENING)
+        self._end_stops = EndStops(machine, step)
         self._coordinates = len(machine.coordinates)
         self._tool = [machine.coordinate_names.index(name) for name in machine.tool_axes]
         longest_s = max((float(delay) for delay in Equations(machine).voltage_delays()), default=0.0)
@@ -59,7 +63,7 @@ class SimulatedPeriod:
                 f"analytic gradients support one of at most a control period, {period:g} s"
             )
         self._motion = DifferentiableMotion(
-            self._end_stops.machine, period / SAMPLES, longest_step=INTEGRATION_STEP, friction=FRICTION
+            self._end_stops.machine, part, longest_step=step, friction=FRICTION
         )
         self.delayed = self._motion.delayed
 

@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike
 from ..arrays import Array
 from ..dynamics import DifferentiableMotion, Friction, Motions, NotFiniteError, instances_with_state
 from ..dynamics.simulation import DIVERGED
+from ..envs.batched_simulator import steps_of_period
+from ..envs.config import LONGEST_STEP
 from ..envs.workspace import EndStops, tool_terms
 from ..errors import InputError, example_names
 from ..machine import Machine, require_machine, rest_state
@@ -25,7 +27,9 @@ class Stage(ABC, Generic[Tensor]):
     Args:
         machine: Machine to simulate.
         period: Time for which a voltage is held, s; also the time between two states.
-        longest_step: Largest step of the integrator, s; the default is that of the environments.
+        longest_step: Largest step of the integrator, s. The default is that of the environments, which also
+            divide a period as the stage does: stiff belts or teeth, strong dampers and drives that follow a
+            set point have shorter steps.
         end_stops: Whether the tool hits end stops at the edges of the workspace, as in the environments.
             Their stiffness counts as constant in the derivatives.
         friction: Derivative where friction holds or stops a coordinate: "exact" for the true one, which is 0
@@ -51,7 +55,7 @@ class Stage(ABC, Generic[Tensor]):
         machine: Machine,
         period: float = 0.01,
         *,
-        longest_step: float = 0.5e-3,
+        longest_step: float = LONGEST_STEP,
         end_stops: bool = False,
         friction: Friction = "exact",
         parallel: bool = True,
@@ -65,15 +69,16 @@ class Stage(ABC, Generic[Tensor]):
                 f"of accelerations and currents; leave {', '.join(felt)} out of a copy of the machine"
             )
         self.machine, self.period, self.parallel = machine, float(period), parallel
-        self._stops = EndStops(machine, longest_step) if end_stops else None
+        step = period / steps_of_period(machine, period, longest_step)
+        self._stops = EndStops(machine, step) if end_stops else None
         simulated = self._stops.machine if self._stops else machine
-        self.motion = DifferentiableMotion(simulated, period, longest_step=longest_step, friction=friction)
+        self.motion = DifferentiableMotion(simulated, period, longest_step=step, friction=friction)
         self.parameter_names = tuple(machine.parameters)
         self.nominal = np.array(list(machine.parameters.values()))
         names = machine.coordinate_names
         effects = [f"{i.effect.label} of {i.component}" for i in instances_with_state(simulated)]
         self.state_names = (*names, *(f"velocity of {name}" for name in names), *effects)
-        self.rated = np.array([drive.rated_voltage for drive in machine.drives])
+        self.rated = np.array([drive.rated_voltage for drive in machine.drives], float)
         self._tool = tool_terms(machine) if machine.tool_axes else None
 
     def check_library(self) -> None:

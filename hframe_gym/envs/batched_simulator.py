@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array, EnvironmentCounts, EnvironmentParameters, Index
-from ..dynamics import LANES, Equations, MotionPoint, in_blocks, kernel_for
+from ..dynamics import LANES, Equations, MotionPoint, in_blocks, kernel_for, resolved_step
 from ..dynamics.codegen.compiled import compiled
 from ..errors import InputError
 from ..machine import Machine, rest_positions_per_axis
@@ -41,6 +41,24 @@ def block_ranges(index: Index) -> Iterator[tuple[int, int]]:
         yield int(part[0]), int(part[-1]) + 1
 
 
+def steps_of_period(machine: Machine, period: float, longest_step: float) -> int:
+    """Return into how many equal integration steps a control period is divided.
+
+    They resolve the machine's fastest vibration and drives (`dynamics.resolved_step`), but not its delays.
+
+    Args:
+        period: Control period, s.
+        longest_step: Largest step of a machine that needs no shorter one, s.
+
+    Raises:
+        InputError: If the period or the step is not positive.
+    """
+    for name, value in (("period", period), ("longest_step", longest_step)):
+        if not (np.isfinite(value) and value > 0.0):
+            raise InputError(f"{name} is {value!r}, it must be a positive number of seconds")
+    return max(1, int(np.ceil(period / resolved_step(machine, longest_step, delays=False) - 1e-6)))
+
+
 class BatchedSimulator:
     """Simulate many machines with the same equations and different parameters, one control period at a time.
 
@@ -52,7 +70,7 @@ class BatchedSimulator:
         space: Names of the parameters in the columns of `reset`'s argument `values`; those of the machine
             come first.
         period: Control period, s; voltages are constant for this time.
-        longest_step: Largest integration step, s.
+        longest_step: Largest integration step, s (`steps_of_period`).
         end_stops: Whether rubber buffers limit x and y.
         sensors: Whether to compute the machine's sensor outputs.
 
@@ -80,11 +98,8 @@ class BatchedSimulator:
         end_stops: bool = False,
         sensors: bool = False,
     ) -> None:
-        for name, value in (("period", period), ("longest_step", longest_step)):
-            if not (np.isfinite(value) and value > 0.0):
-                raise InputError(f"{name} is {value!r}, it must be a positive number of seconds")
         self.machine, self.count, self.period = machine, count, period
-        self.steps = max(1, int(np.ceil(period / longest_step - 1e-6)))
+        self.steps = steps_of_period(machine, period, longest_step)
         self.h = period / self.steps
         self.blocks = -(-count // LANES)
         self._unused = self.blocks * LANES - count  # lanes of the last block without a machine

@@ -19,7 +19,7 @@ from gymnasium import error
 from numpy.typing import NDArray
 
 from ..arrays import Array, GoalPlans, Index
-from ..dynamics import LANES, NotFiniteError, in_parallel, resolved_step
+from ..dynamics import LANES, NotFiniteError, in_parallel
 from ..errors import InputError, is_integer
 from .actuation.actuators import check_actions, with_actuators
 from .batched_simulator import BatchedSimulator, block_ranges
@@ -109,7 +109,7 @@ class EnvironmentBatch:
             count,
             self.sampler.space,
             period=config.period,
-            longest_step=resolved_step(self.machine, config.longest_step, delays=False),
+            longest_step=config.longest_step,
             end_stops=config.ends == "stops",
             sensors=sensors is not None,
         )
