@@ -165,7 +165,15 @@ def check_render_mode(mode: str | None, modes: Sequence[str]) -> str | None:
 
 
 def as_machine(machine: MachineLike) -> Machine:
-    """Return the machine of the option `machine`; an InputError refuses unknown names and invalid values."""
+    """Return the machine that the environment option `machine` names.
+
+    Args:
+        machine: Name of a preset ("hframe"), path of a machine.json, or a `Machine`, which is returned
+            unchanged.
+
+    Raises:
+        InputError: If there is no such preset or file, or a value of the machine is invalid.
+    """
     if isinstance(machine, Machine):
         require_machine(machine)
         return machine

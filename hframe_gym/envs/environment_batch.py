@@ -139,9 +139,9 @@ class EnvironmentBatch:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Hash of machine, task, number of environments and options.
+        """Hash of machine, task's name, number of environments and options, 16 hexadecimal digits.
 
-        A saved state fits only if it is equal.
+        `set_state` refuses a state of environments with another fingerprint.
         """
         # Pydantic takes long to import, and few save states.
         from ..recordings import machine_to_dict
@@ -226,7 +226,10 @@ class EnvironmentBatch:
             raise error.ResetNeeded(f"call reset before {method}")
 
     def result(self) -> StepResult:
-        """Allocate the arrays into which `step` writes, shape (count,); only `terminated` is initialized."""
+        """Allocate the arrays into which `step` writes, shape (count,).
+
+        `terminated` is False everywhere; the other arrays are not initialized.
+        """
         count = self.count
         contour = np.empty(count) if self._has_path else None
         return StepResult(np.empty(count), np.zeros(count, np.bool_), np.empty(count), contour)

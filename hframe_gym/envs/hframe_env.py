@@ -180,8 +180,10 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Apply voltages, fractions of rated ones limited to [-1, 1], shape (drives,), for one period.
 
-        `terminated` is False unless `ends` is "terminate" and `achieved_goal` is outside the workspace;
-        `truncated` is always False, because `gym.make` adds the limit of 150 steps.
+        Returns:
+            Observation, reward (dimensionless), `terminated`, `truncated` and `info`, whose keys the class
+            describes. `terminated` is False unless `ends` is "terminate" and `achieved_goal` is outside the
+            workspace; `truncated` is always False, because `gym.make` adds the limit of 150 steps.
 
         Raises:
             ValueError: If the action has another shape or an entry is not finite.
@@ -264,6 +266,10 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
     @override
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
         """Draw the machine from above, with belts, goal and the past path of the tool.
+
+        Returns:
+            Picture, uint8, shape (660, 880, 3), in mode "rgb_array"; None in mode "human", which updates the
+            window, and without render mode, after a warning.
 
         Raises:
             ImportError: If pygame is missing; the message names the extra.

@@ -47,7 +47,7 @@ _DENSE, _SPARSE, PROGRESS, _ARRIVAL = 0, 1, 2, 3
 
 @compiled
 def row_distance(first: Any, second: Any, b: int) -> float:
-    """Compute the distance of rows b of two arrays of positions, m or rad, shape (n, axes) each."""
+    """Compute the distance of rows b of two arrays of positions, m or rad, shape (n, 1) or (n, 2) each."""
     last = first.shape[1] - 1
     x = np.float64(first[b, 0]) - np.float64(second[b, 0])
     y = np.float64(first[b, last]) - np.float64(second[b, last])
@@ -77,9 +77,9 @@ def evaluate_rows(
         achieved: Tool positions that the reward uses, true or measured, m or rad, shape (n, axes).
         measured: Whether `achieved` is measured and can differ from `tool`; if not, only `tool` is used.
         desired: Goal positions, m or rad, shape (n, axes).
-        kind: Number of the built-in reward for the distance d. 0: dense, from -1 (far) to 0 (at the goal). 1:
-            sparse, 0 within `band` and -1 outside. 2: the potential of "progress", -ln(1 + d / 1 mm). 3:
-            arrival, like dense.
+        kind: Number of the built-in reward for the distance d. 0, dense: minus the mean of d / (d + scale)
+            over `SCALES`, from -1 (far) to 0 (at the goal). 1, sparse: 0 within `band` and -1 outside. 2: the
+            potential of "progress", -ln(1 + d / 1 mm). 3, arrival: dense with the weights `ARRIVAL_WEIGHTS`.
         band: Distance to the goal within which the sparse reward is 0, m or rad.
         meters: Length, m, that one unit of position corresponds to in the other rewards: 1 for m, `ARM` for
             rad.

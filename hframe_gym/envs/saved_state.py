@@ -24,14 +24,19 @@ _NUMBERS = (bool, int, float, str, bytes, type(None), np.generic)
 
 
 def batch_state(batch: Any) -> dict[str, Any]:
-    """Copy the state of an `EnvironmentBatch`: arrays and numbers by the path of their attribute."""
+    """Copy the state of an `EnvironmentBatch` for `restore_batch`.
+
+    Returns:
+        Arrays and numbers, by the path of their attribute from the batch, such as "simulator.state".
+    """
     return {path: _copied(vars(owner)[name]) for path, owner, name in _attributes(batch)}
 
 
 def restore_batch(batch: Any, state: dict[str, Any]) -> None:
-    """Restore a state of `batch_state`.
+    """Write a state of `batch_state` back into an `EnvironmentBatch`.
 
-    A state of other environments raises an InputError and changes nothing.
+    Raises:
+        InputError: If the state has other attributes than the batch, which then is not changed.
     """
     attributes = {path: (owner, name) for path, owner, name in _attributes(batch)}
     different = sorted(set(attributes) ^ set(state))
@@ -50,7 +55,7 @@ def restore_batch(batch: Any, state: dict[str, Any]) -> None:
 
 
 def generator_state(generator: np.random.Generator | None) -> dict[str, Any] | None:
-    """Copy the state of a random generator."""
+    """Copy the state of a random generator, the dict of its bit generator; None for no generator."""
     return None if generator is None else copy.deepcopy(dict(generator.bit_generator.state))
 
 

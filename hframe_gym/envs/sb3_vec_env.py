@@ -125,9 +125,10 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
 
     @override
     def reset(self) -> Any:
-        """Begin episodes with seeds and options that `seed` and `set_options` stored, for this reset only.
+        """Begin episodes and return their first observations.
 
-        The stored seeds remain if the reset raises an error: the next reset then uses them.
+        The seeds and options are those that `seed` and `set_options` stored; they hold for this reset only.
+        The seeds remain if the reset raises an error: the next reset then uses them.
 
         Raises:
             InputError: If an option is unknown, a position is outside the workspace, or `set_options` gave an
@@ -216,7 +217,10 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
 
     @override
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """Draw the machine of every environment from above; the shape of a picture is (height, width, 3)."""
+        """Draw the machine of every environment from above, uint8, shape (height, width, 3) each.
+
+        An entry is None without render mode.
+        """
         return self.envs.render() or [None] * self.num_envs
 
     # -- stable-baselines3's access to single environments; all are part of one vector environment
@@ -247,5 +251,5 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
 
     @override
     def env_is_wrapped(self, wrapper_class: Any, indices: Indices = None) -> list[bool]:
-        """Return False: the environments are rows of one vector environment and have no wrappers."""
+        """Return False for each index: the environments are rows of one vector environment."""
         return [False] * len(list(self._get_indices(indices)))

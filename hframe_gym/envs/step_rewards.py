@@ -56,7 +56,9 @@ class ProgressReward(BuiltinReward):
     kind = PROGRESS
 
     def bonus(self, achieved: Positions, desired: Positions) -> Array:
-        """Compute 1 / (1 + d / 2 mm) of the distance d to the goal (an angle times `meters`), shape (n,).
+        """Compute the second term of the reward, 1 / (1 + d / 2 mm), dimensionless, shape (n,).
+
+        The distance d to the goal is in m; an angle is multiplied by `meters`, the length of the arm.
 
         Args:
             achieved: Tool positions, m or rad, shape (n, axes).

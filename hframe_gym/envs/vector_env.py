@@ -289,7 +289,10 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
 
     @override
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
-        """Draw the machine of every environment from above: pictures, uint8, shape (height, width, 3)."""
+        """Draw the machine of every environment from above, uint8, shape (height, width, 3) each.
+
+        None without render mode.
+        """
         if self.render_mode is None:
             return None
         if self._renderer is None:

@@ -107,7 +107,8 @@ def workspace_of(machine: Machine) -> Workspace:
 def unmeasured_workspace(machine: Machine) -> str | None:
     """Return a warning if the workspace extends beyond the positions at which a table was identified.
 
-    Beyond its ends, a table is constant, whatever the actual force is.
+    Beyond its ends, a table is constant, whatever the actual force is. Up to `UNMEASURED_FRACTION` of the
+    workspace may lie beyond an end without a warning; the result is then None.
 
     Raises:
         InputError: As `workspace_of`.

@@ -88,7 +88,10 @@ class ActuatorModel:
             self._history[:, 1:] = self._history[:, :-1]
 
     def command(self, actions: NDArray[Any], first: int, last: int, clipped: EnvironmentCounts) -> None:
-        """Convert actions to the motor voltages of a period, for blocks first to last - 1, in `inputs`.
+        """Compute the motor voltages of a control period for blocks first to last - 1, into `inputs`.
+
+        An action is multiplied by the drive's rated voltage and rounded and limited by its D/A converter. A
+        drive with a dead time gets the result that much later.
 
         Args:
             actions: Voltages as fractions of the rated voltages, shape (environments, drives); limited to

@@ -78,7 +78,10 @@ class SensorSuite(ABC):
 
     @abstractmethod
     def apply(self, machine: Machine) -> Machine:
-        """Return a copy of a machine with this suite's sensors, their ranges as effects `sensor_range`."""
+        """Return a machine that has the sensors of this suite, with their ranges as effects `sensor_range`.
+
+        The argument itself is not changed.
+        """
 
     @abstractmethod
     def observed(self, machine: Machine) -> tuple[Sensor, ...]:
@@ -153,6 +156,7 @@ class DeclaredSensors(SensorSuite):
 
     @override
     def apply(self, machine: Machine) -> Machine:
+        """Return the machine itself, unchanged."""
         return machine
 
     @override
@@ -174,7 +178,18 @@ SENSOR_PRESETS: dict[str, SensorSuite | None] = {
 
 
 def as_sensors(sensors: SensorsLike) -> SensorSuite | None:
-    """Convert the option `sensors` to a sensor suite; None for "state"; an InputError refuses others."""
+    """Convert the environment option `sensors` to a sensor suite.
+
+    Args:
+        sensors: "state" (the true state is observed), "rig" (`Sensors()`), "machine" (`DeclaredSensors()`),
+            or a suite, which is returned unchanged.
+
+    Returns:
+        The suite; None for "state".
+
+    Raises:
+        InputError: If the option is anything else.
+    """
     if isinstance(sensors, SensorSuite):
         return sensors
     if not isinstance(sensors, str) or sensors not in SENSOR_PRESETS:
@@ -253,7 +268,11 @@ class PositionFromSensors:
 
     @classmethod
     def of(cls, machine: Machine, sensors: tuple[Sensor, ...]) -> PositionFromSensors:
-        """Derive the map from the machine's kinematics with unstretched belts; for shapes see the class.
+        """Derive how the tool position follows from the measurements, with unstretched belts.
+
+        The position of an axis comes from a sensor of this axis and from the sensors of other coordinates
+        (encoders); more of the latter than axes are combined by least squares. Sensors that do not measure a
+        position, or whose angle begins anew after each turn, are not used.
 
         Raises:
             InputError: If the sensors do not determine every axis.

@@ -82,6 +82,7 @@ class Uniform(Distribution):
 
     @override
     def quantile(self, u: Array) -> Array:
+        """Compute low + (high - low) `u`, shape (k,)."""
         return self.low + (self.high - self.low) * u
 
 
@@ -108,6 +109,7 @@ class LogUniform(Distribution):
     @override
     def quantile(self, u: Array) -> Array:
         # SciPy's exponential: that of NumPy may round differently for arrays of another size.
+        """Compute low (high / low)^`u`, shape (k,)."""
         values: Array = self.low * exp10(math.log10(self.high / self.low) * u)
         return values
 
@@ -134,6 +136,7 @@ class Normal(Distribution):
 
     @override
     def quantile(self, u: Array) -> Array:
+        """Compute mean + std z, shape (k,), with the quantiles z of the standard normal distribution."""
         return self.mean + self.std * np.asarray(ndtri(u))
 
 

@@ -244,7 +244,9 @@ class CorrelatedSampler:
     def deviations(self, uniforms: Array) -> Array:
         """Convert uniform numbers to deviations of k parameters from nominal values, SI, shape (n, k).
 
-        A parameter that depends on several of the random numbers can still exceed its limits.
+        Independent normal numbers are truncated so that each parameter stays within its limits by the one
+        number that contributes more than half of its variance. What the others add can still exceed the
+        limits.
 
         Args:
             uniforms: Independent random numbers, uniform in (0, 1), shape (n, k) for n samples.

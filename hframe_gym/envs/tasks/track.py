@@ -209,6 +209,7 @@ class Track(Task):
 
     @override
     def aim(self, target: Array) -> GoalPlans:
+        """Raise an InputError: this task has no target; `Track(centre=(x, y))` places its path."""
         raise InputError("task track has no target; choose where its path lies with Track(centre=(x, y))")
 
     @override

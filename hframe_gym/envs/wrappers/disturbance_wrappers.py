@@ -103,14 +103,17 @@ class DisturbanceWrapper(gym.Wrapper):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode, as the environment does, and draw its first force."""
+        """Begin an episode, as the environment does, and draw the force of its first control period."""
         self._forces.seed(seed)
         result = self.env.reset(seed=seed, options=options)
         self._forces.begin()
         return result
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Make a step under the present force, and draw the next one."""
+        """Make a step under the present force, and draw that of the next control period.
+
+        `info` also has the force of this step, see the class.
+        """
         applied = self._forces.forces[0].copy()
         observation, reward, terminated, truncated, info = self.env.step(action)
         self._forces.follow()
@@ -147,7 +150,11 @@ class VectorDisturbanceWrapper(VectorWrapper):
         return result
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Make a step of all environments under the present forces, and draw the next ones."""
+        """Make a step of all environments under the present forces, and draw those of the next one.
+
+        `info` also has the forces of this step, N or Nm, shape (num_envs, axes), under the key of
+        `DisturbanceWrapper`. Environments in which an episode begins get a first force.
+        """
         applied, began = self._forces.forces.copy(), self._over
         observation, reward, terminated, truncated, info = self.env.step(actions)
         self._over = np.asarray(terminated) | np.asarray(truncated)

@@ -61,10 +61,12 @@ class WhiteNoise(Disturbance):
 
     @override
     def begin(self, shape: tuple[int, int], period: float, generator: np.random.Generator) -> Array:
+        """Return independent normal forces of the standard deviation `std`, N, of this shape."""
         return generator.normal(0.0, self.std, shape)
 
     @override
     def follow(self, forces: Array, period: float, generator: np.random.Generator) -> Array:
+        """Return new normal forces, N, that do not depend on the present ones."""
         return generator.normal(0.0, self.std, forces.shape)
 
 
@@ -86,10 +88,12 @@ class OrnsteinUhlenbeck(Disturbance):
 
     @override
     def begin(self, shape: tuple[int, int], period: float, generator: np.random.Generator) -> Array:
+        """Return independent normal forces of the standard deviation `std`, N, of this shape."""
         return generator.normal(0.0, self.std, shape)
 
     @override
     def follow(self, forces: Array, period: float, generator: np.random.Generator) -> Array:
+        """Return exp(-period / time_s) times the forces, N, plus noise that keeps their deviation `std`."""
         kept = np.exp(-period / self.time_s) if self.time_s else 0.0
         noise: Array = generator.normal(0.0, self.std * np.sqrt(1.0 - kept * kept), forces.shape)
         return kept * forces + noise
@@ -116,6 +120,11 @@ class Pulses(Disturbance):
 
     @override
     def follow(self, forces: Array, period: float, generator: np.random.Generator) -> Array:
+        """Begin and end pulses at random; a force of 0 N means that there is none.
+
+        A pulse of +-`size` N begins with the probability 1 - exp(-period rate) and ends with 1 - exp(-period
+        / length_s).
+        """
         chances = generator.random(forces.shape)
         ends = chances < (1.0 - np.exp(-period / self.length_s) if self.length_s else 1.0)
         begins = chances < 1.0 - np.exp(-period * self.rate)

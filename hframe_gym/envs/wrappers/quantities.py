@@ -94,7 +94,10 @@ class StepRecord:
 
     @cached_property
     def currents(self) -> Array:
-        """Currents of the drives by Ohm's law, A, shape (count, drives)."""
+        """Currents of the drives, A, shape (count, drives): (V - back-EMF) / R with the commanded voltage V.
+
+        Inductance, current limits and delays are not included.
+        """
         drives = range(len(self.batch.machine.drives))
         return np.stack(
             [self._equations.ohmic_current(j, self._point, self.voltages[:, j]) for j in drives], axis=1
