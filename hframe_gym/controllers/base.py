@@ -75,7 +75,10 @@ class Controller(ABC):
         """
 
     def concern(self) -> str | None:
-        """Return a warning if the controller cannot be expected to work on its machine, else None."""
+        """Return a warning if the controller cannot be expected to work on its machine, else None.
+
+        This default returns None.
+        """
         return None
 
     def replace_last_action(self, actions: Actions) -> None:  # noqa: B027  (optional)
@@ -155,6 +158,7 @@ class FullStateController(Controller):
 
     @override
     def act(self, observation: KeyedObservation) -> Actions:
+        """Convert the observation, which must have the full state, and call `act_on_state`."""
         check_keys(observation)
         state = self.model.state(observation)
         check_state_units(observation, self.model)
@@ -167,4 +171,8 @@ class FullStateController(Controller):
 
     @abstractmethod
     def act_on_state(self, state: TravelStates, goals: PreviewedGoals) -> Actions:
-        """Compute the actions for the period that starts now; an InputError if the preview is too short."""
+        """Compute the actions for the period that starts now.
+
+        Raises:
+            InputError: If the controller needs more previewed goals than `goals` has.
+        """

@@ -92,6 +92,10 @@ class ModelBasedController(FullStateController):
 
     @override
     def act_on_state(self, state: TravelStates, goals: PreviewedGoals) -> Actions:
+        """Compute the actions that bring the tool to a fixed goal or along the preview of a moving one.
+
+        They are limited to [-1, 1].
+        """
         self._begin_period(state)
         goal_moves = goals.shape[1] > 1
         motor_voltage = self._track(state, goals) if goal_moves else self._reach(state, goals[:, 0])

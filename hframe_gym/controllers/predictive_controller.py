@@ -99,6 +99,10 @@ class PredictiveController(FullStateController):
 
     @override
     def act_on_state(self, state: TravelStates, goals: PreviewedGoals) -> Actions:
+        """Update the estimates, plan the motion to the goal or along its preview, and start it.
+
+        The actions are limited to [-1, 1].
+        """
         if self._starts.resize(len(state)):
             self._resize(len(state))
         self._begin_episodes(self._starts.mask)

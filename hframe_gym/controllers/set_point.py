@@ -152,7 +152,11 @@ class SetPointController(Controller):
 
     @override
     def act(self, observation: KeyedObservation) -> Actions:
-        """Compute the set points, as fractions of the rated ones."""
+        """Move a reference to the goal, with limited speed and acceleration, and return its set points.
+
+        They are fractions of the rated ones in [-1, 1]: positions, or speeds that also correct the difference
+        between the reference and the observed position.
+        """
         check_keys(observation)
         check_goal_units(observation, self.machine)
         position = np.asarray(observation["achieved_goal"], np.float64)

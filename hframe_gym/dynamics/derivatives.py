@@ -206,8 +206,8 @@ class DifferentiableMotion:
                 are zero.
 
         Returns:
-            Its derivatives with respect to the first states, shape (B, S), voltages and parameters, shape (B,
-            P).
+            Its derivatives with respect to the first states, shape (B, S), the voltages, 1/V, shape (B,
+            earlier + T, drives), and the parameters, shape (B, P).
         """
         states, inputs, parameters = motions.kernel_states, motions.inputs, motions.parameters
         batch, count = len(states), self._count

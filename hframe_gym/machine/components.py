@@ -217,6 +217,7 @@ class Drive(Component):
 
     @override
     def require_possible(self) -> None:
+        """Raise an InputError if a number, or a parameter of the law, is not finite or outside its bounds."""
         super().require_possible()
         law = DRIVE_KINDS.get(self.kind).law
         if law:
@@ -331,6 +332,7 @@ class Sensor(Component):
     @property
     @override
     def label(self) -> str:
+        """Name of the sensor in parameter names, its channel: "x_m" in "x_m.noise"."""
         return self.channel
 
     @property

@@ -85,7 +85,12 @@ class Number:
     older_unit: str = ""
 
     def limits(self, refused: float) -> str:
-        """Describe the possible values in words, for a message that refuses the value `refused`, SI."""
+        """Describe the possible values in words, such as "zero or more, between 0 and 1".
+
+        Args:
+            refused: Value that a message refuses, SI. One that is not positive gives "positive" or "zero or
+                more" alone, if the lower limit is not negative.
+        """
         between = f"between {self.lower:g} and {self.upper:g}"
         if self.lower < 0.0:
             return between
@@ -145,11 +150,16 @@ class Variant:
     fields: Mapping[str, str] = field(default_factory=dict)
 
     def unit(self, name: str, quantity: Number) -> str:
-        """Return the unit of an attribute, given its name and declaration."""
+        """Return the unit of an attribute in this variant.
+
+        Args:
+            name: Name of the attribute.
+            quantity: Its declaration, whose unit may be a key of `units`.
+        """
         return self.units.get(name, self.units.get(quantity.unit, quantity.unit))
 
     def field(self, name: str) -> str:
-        """Return the name that an attribute of the class has in machine.json."""
+        """Return the name of an attribute in machine.json; most have the same name there."""
         return self.fields.get(name, name)
 
     def own(self, component: type[Component]) -> dict[str, Attribute]:
@@ -180,7 +190,7 @@ class Component:
 
     @classmethod
     def variants(cls) -> dict[tuple[str, CoordinateKind], Variant]:
-        """Return all variants, by (kind of the component or "", kind of the coordinate)."""
+        """Return all variants, by kind of the component ("" if it has none) and kind of the coordinate."""
         pairs = itertools.product(cls.kinds or ("",), UNITS)
         return {(kind, coordinate): cls.variant(coordinate, kind) for kind, coordinate in pairs}
 
@@ -216,7 +226,12 @@ class Component:
     @classmethod
     @cache
     def names(cls, role: Role) -> tuple[str, ...]:
-        """Return the names of the numeric attributes that have a role, such as "parameter"."""
+        """Return the names of the numeric attributes that have a role.
+
+        Args:
+            role: "parameter" (enters the equations of motion), "device" (can only be randomized) or ""
+                (neither).
+        """
         return tuple(name for name, number in cls.numbers().items() if number.role == role)
 
     @property

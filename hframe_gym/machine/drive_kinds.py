@@ -133,4 +133,5 @@ class DriveLaw(AppliedEffect):
     @property
     @override
     def label(self) -> str:
+        """Name of the drive, with which the full names of the law's parameters begin."""
         return self.site

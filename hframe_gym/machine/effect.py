@@ -413,7 +413,10 @@ class Effect:
 
     @property
     def replaces_model_part(self) -> bool:
-        """Whether the effect adds coordinates or replaces dry friction; no amplitude then scales it."""
+        """Whether the effect adds coordinates or replaces dry friction.
+
+        It then has no parameter whose value 0 removes it.
+        """
         return bool(self.structure or self.friction)
 
     @property
@@ -477,17 +480,17 @@ class AppliedEffect:
 
     @property
     def coordinate(self) -> str:
-        """Name of the coordinate that the effect adds to its machine; empty if none."""
+        """Name of the coordinate that the effect adds to its machine; "" if none."""
         return self.definition.coordinate.format(site=self.site)
 
     @property
     def added_belt(self) -> str:
-        """Name of the belt section that the effect adds to its machine, or empty."""
+        """Name of the belt section that the effect adds to its machine; "" if none."""
         return self.definition.belt.format(site=self.site)
 
     @property
     def measuring_range(self) -> tuple[Any, Any] | None:
-        """Lowest and highest measurement, in its unit, if the effect limits a sensor's range."""
+        """Lowest and highest measurement of the sensor, in its unit, if the effect limits them; else None."""
         ends = self.definition.range_ends
         return ends and (self.parameters[ends[0]], self.parameters[ends[1]])
 

@@ -349,7 +349,11 @@ class Machine:
 
     @cached_property
     def radius_parameters(self) -> dict[int, tuple[int, float]]:
-        """Column of `parameters` and factor of each pulley's radius, by the index of its coordinate."""
+        """Where `parameters` has each pulley's radius, by the index of the pulley in `coordinates`.
+
+        A value is the index in `parameters` and the factor by which that parameter is multiplied to give the
+        radius; the factor is 1 unless the radius is tied (`ties`).
+        """
         columns = {name: column for column, name in enumerate(self.parameters)}
         rotary = [i for i, c in enumerate(self.coordinates) if c.kind == "rotary"]
         owners = {i: self.untied(f"{self.coordinates[i].name}.radius") for i in rotary}

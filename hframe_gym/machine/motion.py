@@ -80,7 +80,11 @@ def rigid_counterpart(machine: Machine, *, with_slow_loads: bool = False) -> Mac
 
 
 def effects_left_out(machine: Machine) -> tuple[AppliedEffect, ...]:
-    """Return the effects whose added coordinates the model of a controller lacks (`rigid_counterpart`)."""
+    """Return the effects that `rigid_counterpart` leaves out, slow loads included.
+
+    They add coordinates or a rigidly carried load. A load behind a gap that is itself an axis of the tool is
+    not one of them.
+    """
     added = (e for e in machine.effects if e.coordinate or e.definition.rigid)
     return tuple(e for e in added if not _moves_tool(machine, e))
 
@@ -92,7 +96,11 @@ def _moves_tool(machine: Machine, effect: AppliedEffect) -> bool:
 
 
 def slow_loads(machine: Machine) -> tuple[AppliedEffect, ...]:
-    """Return the effects that add a load so slow that its carriage reaches a goal before the load follows."""
+    """Return the effects that add a load to a carriage whose natural frequency is below 4 Hz.
+
+    The carriage reaches a goal before such a load follows. The frequency, `FASTEST_SLOW_LOAD_HZ`, is that
+    with a held carriage.
+    """
     return tuple(
         e for e in machine.effects if e.definition.reaction and _natural_frequency(e) < FASTEST_SLOW_LOAD_HZ
     )
@@ -279,9 +287,13 @@ class MotionLimits:
 def motion_limits(machine: Machine) -> dict[str, MotionLimits]:
     """Compute inertia, maximum force and steady speed along each rigid motion, all drives at rated voltage.
 
-    A rigid motion stretches no belt; on an H-frame, these are the motions along x and along y. The values, by
-    name of the leading coordinate, show whether a description of a machine is plausible, for example whether
-    its units are right. Effects are ignored.
+    A rigid motion stretches no belt; on an H-frame, these are the motions along x and along y. The values
+    show whether a description of a machine is plausible, for example whether its units are right. Effects are
+    ignored.
+
+    Returns:
+        Inertia (kg or kg m^2), force (N or Nm) and speed (m/s or rad/s) by name of the leading coordinate
+        (`rigid_motions`).
     """
     limits = {}
     for name, motion in rigid_motions(machine).items():

@@ -44,13 +44,14 @@ class SensorKind:
     def signal(position: Any) -> Any:
         """Compute the ideal measurement (without noise and rounding) from the sensor's quantity.
 
-        The name of the argument selects the quantity: "position", "speed" or "acceleration" is the sum of the
-        sensor's coefficients (`Sensor.row`) times those of the coordinates (m, rad; per second; per second
-        squared); "current" is the sum of coefficients times the currents of the drives, A, and "tension" that
-        of coefficients times the tensions of the belts beyond their pretension, N. A formula uses the
-        operators + - * / and abs. A constant factor belongs in the coefficients, by which initial states and
-        observers divide: they assume that the formula has slope 1. What bends it is better an effect of the
-        sensor, whose parameters can be identified.
+        The name of the argument, which subclasses may change, selects the quantity. "position", "speed" or
+        "acceleration" is the sum of the sensor's coefficients (`Sensor.row`) times those of the coordinates
+        (m, rad; per second; per second squared); "current" is the sum of coefficients times the currents of
+        the drives, A; "tension" that of coefficients times the tensions of the belts beyond their pretension,
+        N.
+
+        A formula uses the operators + - * / and abs, and has slope 1, as initial states and observers assume:
+        a constant factor belongs in the coefficients, a nonlinearity in an effect of the sensor.
 
         Args:
             position: The quantity: float, array of any shape or symbolic expression.
@@ -123,6 +124,7 @@ class SpeedSensor(SensorKind):
     @staticmethod
     @override
     def signal(speed: Any) -> Any:
+        """Return the `speed`, m/s or rad/s, any shape."""
         return speed
 
 
@@ -133,6 +135,7 @@ class UnsignedSpeedSensor(SensorKind):
     @staticmethod
     @override
     def signal(speed: Any) -> Any:
+        """Return the absolute value of the `speed`, m/s or rad/s, any shape."""
         return abs(speed)
 
 
@@ -148,6 +151,7 @@ class AccelerationSensor(SensorKind):
     @staticmethod
     @override
     def signal(acceleration: Any) -> Any:
+        """Return the `acceleration`, m/s^2 or rad/s^2, any shape."""
         return acceleration
 
 
@@ -158,6 +162,7 @@ class CurrentSensor(SensorKind):
     @staticmethod
     @override
     def signal(current: Any) -> Any:
+        """Return the `current`, A, any shape."""
         return current
 
 
@@ -170,6 +175,7 @@ class BeltForceSensor(SensorKind):
     @staticmethod
     @override
     def signal(tension: Any) -> Any:
+        """Return the `tension` beyond the pretension, N, any shape."""
         return tension
 
 
@@ -182,4 +188,5 @@ class AbsoluteAngle(SensorKind):
     @staticmethod
     @override
     def measure(reading: Array, noise: ArrayLike, resolution: ArrayLike, normal: ArrayLike) -> Array:
+        """Add noise and round as `SensorKind.measure`, then wrap the angle to [0, 2 pi) rad."""
         return np.mod(SensorKind.measure(reading, noise, resolution, normal), AbsoluteAngle.turn)

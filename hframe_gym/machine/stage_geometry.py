@@ -106,7 +106,13 @@ class StageGeometry:
         return []
 
     def sections(self, x: float, y: float) -> dict[str, list[Point]]:
-        """Compute the vertices (x, y), m, of the belt sections, by name, with the tool at `x`, `y`, m."""
+        """Compute the belt sections with the tool at `x`, `y`, m; none without belts.
+
+        A section is a piece of belt between two pulleys, or between a pulley and the carriage.
+
+        Returns:
+            Vertices (x, y), m, by name of the section.
+        """
         del x, y
         return {}
 
@@ -123,11 +129,12 @@ class DialGeometry(StageGeometry):
 
     @override
     def rails(self) -> list[Box]:
+        """Return no rails: the list is empty."""
         return []
 
     @override
     def pulleys(self, x: float, y: float = 0.0) -> list[Point]:
-        """Return the center of the shaft, which is drawn as a pulley."""
+        """Return the center of the shaft, (0, 0) m, which is drawn as a pulley."""
         del x, y
         return [(0.0, 0.0)]
 
@@ -208,7 +215,7 @@ class BeltGeometry(StageGeometry):
 
     @override
     def pulleys(self, x: float, y: float = 0.0) -> list[Point]:
-        """Return pulleys phi3, phi1 (motor), phi4, phi2 (motor), phi7, phi5, phi8, phi6, in this order."""
+        """Return the centers (x, y), m, of phi3, phi1 (motor), phi4, phi2 (motor), phi7, phi5, phi8, phi6."""
         return [self._swap(point) for point in self._pulleys(self._swap((x, y))[0])]
 
     def _pulleys(self, bridge: float) -> list[Point]:
@@ -222,7 +229,10 @@ class BeltGeometry(StageGeometry):
 
     @override
     def sections(self, x: float, y: float) -> dict[str, list[Point]]:
-        """Return the nine belt sections of an H-frame, "s1" to "s9" as in the 20th-order model."""
+        """Return the vertices (x, y), m, of the nine belt sections of an H-frame, by name.
+
+        They are "s1" to "s9" as in the 20th-order model.
+        """
         x, y = self._swap((x, y))
         phi3, phi1, phi4, phi2, phi7, phi5, phi8, phi6 = self._pulleys(x)  # centers
         # Each section is a straight line, which touches the pulleys at a distance r from their centers, and
@@ -277,7 +287,7 @@ class CoreXYGeometry(StageGeometry):
 
     @override
     def pulleys(self, x: float, y: float = 0.0) -> list[Point]:
-        """Return the ten pulleys of a CoreXY stage, seen with the motors in front.
+        """Return the centers (x, y), m, of the ten pulleys of a CoreXY stage, seen with the motors in front.
 
         Their order is: left and right motor; left and right idler at the rear of the first belt (on the left
         motor), then of the second belt; on the bridge: left and right in front, left and right behind.
@@ -286,7 +296,7 @@ class CoreXYGeometry(StageGeometry):
 
     @override
     def sections(self, x: float, y: float) -> dict[str, list[Point]]:
-        """Return the four belt sections of a CoreXY stage, from a motor to the carriage.
+        """Return the vertices (x, y), m, of the four belt sections, from a motor to the carriage, by name.
 
         "front1" directly and "rear1" around the rear of the frame, both from the left motor; "front2" and
         "rear2" likewise from the right motor.

@@ -315,7 +315,7 @@ class Dataset:
 
     @property
     def has_voltage_errors(self) -> bool:
-        """Whether a run's voltages are interpolated between rows, so that residuals contain its errors."""
+        """Whether residuals of a run are whitened, because they contain errors of interpolated voltages."""
         return any(run.voltage_errors is not None for run in self.runs)
 
     @property
@@ -337,22 +337,25 @@ class Dataset:
         return self.with_all_runs(updates=updates)
 
     def without_voltage_errors(self) -> Dataset:
-        """Return a copy without errors of interpolated voltages."""
+        """Return a copy whose residuals are not whitened for errors of interpolated voltages.
+
+        The voltages themselves stay interpolated.
+        """
         return self.with_all_runs(voltage_errors=None)
 
     def with_held_voltages(self) -> Dataset:
-        """Return a copy whose voltages are held from row to row."""
+        """Return a copy whose voltages are held from row to row, and have no errors of interpolation."""
         return self.with_all_runs(updates=1, voltage_errors=None)
 
     def with_observers(self, observers: Mapping[str, RunObserver]) -> Dataset:
         """Return a copy in which some runs are predicted with another observer.
 
         Args:
-            observers: Observer, bandwidth in rad/s, by the name of the run.
+            observers: By name of the run: bandwidth of the observer, rad/s, and factor by which the variance
+                of the run's noise is inflated.
 
         Returns:
-            Copy; runs that are not named are unchanged. The noise of those named is larger by the square root
-            of its `inflation`.
+            Copy; runs that are not named are unchanged.
         """
 
         def with_observer(run: PreparedRecording, observer: RunObserver) -> PreparedRecording:

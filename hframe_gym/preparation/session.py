@@ -59,6 +59,10 @@ class Session(NamedTuple):
 def prepare_session(recordings: Sequence[Recording], machine: Machine, log: LineLog) -> Session:
     """Prepare all runs of a session for a fit, and log what is not used.
 
+    Position sensors without any measurement are left out, measurements are unwrapped and cleaned
+    (`usable_run`), and the sensors of coordinates that their drives move against the declared direction are
+    turned.
+
     Args:
         recordings: Runs as logged.
         machine: Machine as declared.

@@ -126,7 +126,10 @@ def _corrected(data: Dataset, machine: Machine, errors: Array) -> Dataset:
 
 
 def may_correct_zeros(data: Dataset, machine: Machine) -> bool:
-    """Return whether a machine's effects may correct encoder zeros that were estimated without them."""
+    """Return whether `refine_encoder_zeros` may change zeros with a machine.
+
+    It may if the machine has effects, and an encoder of a run kept its zero and measures belt stretch.
+    """
     return bool(machine.effects) and any(np.any(run.initial.resolves_stretch) for run in data.runs)
 
 

@@ -45,12 +45,20 @@ class UsableRun(NamedTuple):
 
 
 def usable_run(recording: Recording, machine: Machine, log: LineLog | None = None) -> UsableRun:
-    """Remove measurements that are not usable from a run, except those at the end of a sensor's range.
+    """Unwrap a run, repair its clock, and replace measurements that are not usable by NaN.
+
+    These are values that the log repeats, outliers, values while a sensor was silent, and those before a run
+    that begins in motion comes to rest. Jittering stamps become equal steps, and noisy inputs are averaged.
+    Measurements at the end of a sensor's range stay.
 
     Args:
         recording: Run as logged.
         log: Called with a line of text for each channel that wraps and each kind of measurements that is
             removed.
+
+    Returns:
+        The repaired run twice, `measured` with and `usable` without the measurements before it comes to rest,
+        and the `rest` at its beginning.
     """
     regular, jitter_s = with_regular_clock(without_wraps(recording, machine), machine)
     unwrapped = without_input_noise(regular, machine, log)
@@ -90,8 +98,8 @@ def from_first_measurement(recording: Recording, machine: Machine) -> Recording:
     on.
 
     Returns:
-        Copy; the same object if something is measured at rest, if nothing is measured at all, or if too few
-        rows to fit would remain.
+        Copy; the same object if something is measured at rest, if nothing is measured at all, or if fewer
+        than 20 rows would remain.
     """
     measured = np.flatnonzero(np.isfinite(recording.outputs).any(axis=1))
     first = int(measured[0]) if len(measured) else 0

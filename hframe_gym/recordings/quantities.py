@@ -37,7 +37,7 @@ class Quantity:
 
     @cached_property
     def words(self) -> tuple[str, ...]:
-        """The words that name the quantity."""
+        """The words in headers that name the quantity, in lower case."""
         return tuple(self.names.split())
 
 
@@ -254,13 +254,16 @@ class Meaning(NamedTuple):
 
     @property
     def family(self) -> str:
-        """Quantity without the kind of motion: "position" for a length and an angle; "" if unknown."""
+        """Quantity without the kind of motion: "position", "speed" or "acceleration", linear or rotary.
+
+        Any other quantity is its own family; "" if the quantity is unknown.
+        """
         quantity = QUANTITIES.get(self.quantity)
         return quantity.family or self.quantity if quantity is not None else self.quantity
 
     @property
     def in_words(self) -> str:
-        """The quantity with an article and, if it is known, the unit: "a current in A"."""
+        """The quantity with an article and its unit, "a current in A"; else "a current by its name"."""
         article = QUANTITIES[self.quantity].article if self.quantity in QUANTITIES else "a"
         words = f"{article} {self.quantity}"
         return (

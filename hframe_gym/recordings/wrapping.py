@@ -63,13 +63,17 @@ class Wrap(NamedTuple):
     lost: int = 0
 
     def describe(self, unit: str) -> str:
-        """Describe the wrap in a clause: "wraps 13 times at one turn (6.28319 rad) and is unwrapped"."""
+        """Describe the wrap in a clause: "wraps 13 times at one turn (6.28319 rad) and is unwrapped".
+
+        Args:
+            unit: Unit of the values, for the text.
+        """
         times = "once" if self.jumps == 1 else f"{self.jumps} times"
         clause = f"wraps {times} at {self.name} ({self.modulus:.6g} {unit}) and is unwrapped"
         return f"{clause}; {self.describe_lost()}" if self.lost else clause
 
     def describe_lost(self) -> str:
-        """Describe in a clause how many measurements are at no valid angle, such as in a dead angle."""
+        """Describe in a clause the `lost` measurements, of which there is at least one."""
         rows = f"{self.lost} rows in which" if self.lost > 1 else "one row in which"
         return f"{rows} it switches between its ends or rests in its dead angle count as not measured"
 
@@ -270,13 +274,16 @@ def jumps_between_ends(values: Array, low: float, high: float) -> EndJumps | Non
     """Find jumps between the ends of a range in a channel that otherwise changes slowly.
 
     An angle that wraps jumps like this, whatever the size of its turn, and so does a potentiometer that
-    passes its dead angle. An outlier, in contrast, returns at once, and a fast motion takes several rows. The
-    result is None if other jumps exist.
+    passes its dead angle. An outlier, in contrast, returns at once, and a fast motion takes several rows.
 
     Args:
         values: Values of one channel in one run, NaN where not measured, shape (n,).
         low: Lower end of the values in all runs, in the unit of the values.
         high: Upper end, in the same unit.
+
+    Returns:
+        Rows and values of the jumps. None without jumps, if one jump is not from end to end, if two follow
+        each other within four measurements, or if the channel moves too fast between them.
     """
     extent = high - low
     measured = np.flatnonzero(np.isfinite(values) & ~_switching_rows(values))

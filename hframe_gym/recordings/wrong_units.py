@@ -57,14 +57,18 @@ class WrongUnitError(InputError):
 
 
 def refuse_wrong_units(path: Path, outputs: Array, machine: Machine) -> None:
-    """Raise an error for channels in millimeters or degrees, recognized by size, span and belt ratios.
+    """Raise an error if position channels are probably in millimeters or degrees.
+
+    These are channels with more than 1 % of the values beyond 20 m or 2000 turns, channels that span more
+    than three times the range of their coordinate, and pulleys and carriages whose travels differ by 25 to
+    120 times (degrees) or 300 to 2000 times (millimeters) from what unstretched belts allow.
 
     Args:
         path: File of the run, for the message.
         outputs: Measurements of the run, in the sensors' units, shape (n, sensors), NaN where not measured.
 
     Raises:
-        WrongUnitError: If channels are in another unit.
+        WrongUnitError: If there are such channels; it names them and the unit that is likely.
     """
     for sensor, values in zip(machine.sensors, outputs.T, strict=True):
         if not sensor.of_position:

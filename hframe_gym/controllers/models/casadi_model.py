@@ -84,8 +84,9 @@ class SymbolicModel:
         """Return the equations of motion as a CasADi expression: the state's time derivative, shape (2 n,).
 
         Args:
-            state: State, m and m/s.
-            action: Action, dimensionless.
+            state: Belt travel of the n coordinates, m, then its rate, m/s, shape (2 n,).
+            action: Voltage of each motor, where -1 stands for the lowest possible one and 1 for the highest,
+                dimensionless, shape (drives,).
             time: Time since the start, s.
         """
         return self._rate(state, action, time, self._parameters, self._start)
@@ -94,8 +95,8 @@ class SymbolicModel:
         """Return (current / limit)^2 - 1, which must be <= 0, dimensionless, of each drive with a limit.
 
         Args:
-            state: State, m and m/s.
-            action: Action, dimensionless.
+            state: State as in `rate`, m and m/s, shape (2 n,).
+            action: Action as in `rate`, dimensionless, shape (drives,).
         """
         voltages, point = self._voltages(action), self._point(state, 0.0)
         current = self._equations.ohmic_current

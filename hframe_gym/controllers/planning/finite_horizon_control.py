@@ -206,6 +206,10 @@ class MinimumEnergyTransfers(TransferDesign):
             goal: Tool position at the goal.
             limits: Lowest voltages and highest voltages, V, shape (B, drives) each.
             at_least: Minimum number of control periods until rest, from `shortest` to `longest`, shape (B,).
+
+        Returns:
+            Number of periods of each motion, shape (B,), and its voltages in the first period, V, shape (B,
+            drives).
         """
         points = self.grid.nearest(goal)
         lowest, highest = limits

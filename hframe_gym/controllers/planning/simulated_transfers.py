@@ -88,13 +88,17 @@ class SimulatedTransfers:
         last_volts: Volts,
         memory: Array | None = None,
     ) -> PlannedTransfers:
-        """Plan motions from the present states to rest at the goals, one for each of the K durations.
+        """Plan motions from the present states to rest at the goals, one for each of the K `durations`.
 
         Plans of up to SIMULATED_PERIODS = 6 periods are corrected by simulations of the machines with their
         effects. The last voltages still act during the dead time of the drives.
 
         Args:
             memory: Memories of the machines (`SimulatedMotion`), shape (B, M). Default: those at rest.
+
+        Returns:
+            Voltages of the first period of each motion, V, not limited, shape (B, K, drives), and their
+            derivatives with respect to the state, V/m and Vs/m, shape (B, K, drives, 2 n).
         """
         if memory is None:
             memory = np.zeros((len(state), self._motion.memory_size))

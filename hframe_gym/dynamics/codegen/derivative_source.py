@@ -112,10 +112,11 @@ class _StepBack(StepTrace):
 
 
 def derivative_source(source: KernelSource, *, friction: str) -> str:
-    """Write the source text of the derivatives of a kernel, for the module `lane_compiler`.
+    """Write the source text of the derivatives of a kernel, which `compile_lanes` compiles.
 
     Args:
-        friction: Derivative of static friction, see `derivatives.Friction`.
+        friction: Derivative where static friction holds a coordinate: "exact", "smoothed" or "sliding", see
+            `derivatives.Friction`.
 
     Returns:
         Text of the functions `DERIVATIVE_FUNCTIONS`. Each function adds its part to the arrays of derivatives

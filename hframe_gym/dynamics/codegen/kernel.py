@@ -68,9 +68,14 @@ class Kernel:
 
 
 def generate_kernel(machine: Machine, *, forced: bool = False) -> tuple[str, KernelSource]:
-    """Return the Python source text of a machine's kernel, and the `KernelSource` of its functions.
+    """Write the Python source text of a machine's kernel; nothing is compiled.
 
-    Nothing is compiled. With `forced`, the kernel also takes an external force on every coordinate.
+    Args:
+        forced: Whether the kernel also takes an external force on every coordinate.
+
+    Returns:
+        Source text of the functions `FUNCTIONS`, and the `KernelSource` that wrote them: it knows in which
+        rows of the kernel's arrays each parameter and step constant is.
     """
     source = KernelSource(machine, forced=forced)
     traces = (

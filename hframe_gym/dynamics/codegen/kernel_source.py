@@ -111,12 +111,15 @@ class KernelSource:
         return ("_forward", "_backward") if any(self._plain.effects_on("viscous", i)) else ("",)
 
     def parameters(self, trace: Trace) -> dict[str, Expression]:
-        """Load the parameters by full name from the array `parameters` of a function."""
+        """Load all parameters, by full name, from the array `parameters` of the traced function."""
         rows = self.layout.parameters.items()
         return {name: trace.load("parameters", row, f"p{row}") for name, row in rows}
 
     def equations(self, trace: Trace) -> Equations:
-        """Return the equations with the parameters loaded from the array `parameters`."""
+        """Return the equations of motion as expressions of a trace.
+
+        Their parameters are loaded from the array `parameters` of the traced function.
+        """
         return Equations(self.machine, self.parameters(trace))
 
     # -- constants of a step ---------------------------------------------------------------------------------
@@ -124,7 +127,7 @@ class KernelSource:
     def trace_constants(self, trace: Trace) -> Trace:
         """Trace the generated function `prepare`: constants that depend on parameters and step length only.
 
-        Return the trace, to which the statements are appended.
+        The statements are appended to `trace`, which is returned.
         """
         for name, value in self.step_constants(trace, self.equations(trace), trace.argument("h")):
             trace.store("derived", self.layout.derived[name], value)
@@ -171,13 +174,21 @@ class KernelSource:
     # -- sensors and delays ----------------------------------------------------------------------------------
 
     def trace_delays(self, trace: Trace, function: str) -> Trace:
-        """Trace the function `voltage_delays` or `measurement_delays`: each drive's or sensor's delay, s."""
+        """Trace a generated function that computes each drive's or each sensor's delay, s.
+
+        Args:
+            trace: Trace to which the statements are appended; it is returned.
+            function: "voltage_delays" (drives) or "measurement_delays" (sensors).
+        """
         for row, delay in enumerate(getattr(self.equations(trace), function)()):
             trace.store("delays", row, delay)
         return trace
 
     def trace_sensors(self, trace: Trace) -> Trace:
-        """Trace the reading of each sensor in its unit; return the trace."""
+        """Trace the generated function `read_sensors`: the reading of each sensor in its unit.
+
+        The statements are appended to `trace`, which is returned.
+        """
         equations = self.equations(trace)
         travel = [trace.load("state", i, f"travel_{i}") for i in self._coordinates]
         positions = [p / equations.radius(i) for i, p in enumerate(travel)]

@@ -368,7 +368,10 @@ class Equations(SignalEquations):
     def accelerations(
         self, point: MotionPoint, voltages: Sequence[Value], direction: Callable[[Value], Value] = sign
     ) -> list[Value]:
-        """Return each coordinate's acceleration along its belt travel, m/s^2: net force divided by mass."""
+        """Return each coordinate's acceleration along its belt travel, m/s^2: net force divided by mass.
+
+        The arguments are those of `net_forces`.
+        """
         return [force / self.mass(i) for i, force in enumerate(self.net_forces(point, voltages, direction))]
 
     # -- arrays ----------------------------------------------------------------------------------------------

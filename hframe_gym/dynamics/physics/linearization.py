@@ -149,9 +149,9 @@ def mode_frequencies(machine: Machine, position: ArrayLike | None = None) -> Arr
 
 
 def belt_modes(machine: Machine) -> list[float]:
-    """Return the vibration frequencies of the masses on the belts, Hz, ascending.
+    """Return the vibration frequencies of the masses on the belts, Hz, ascending, without effects.
 
-    Empty without elastic belts.
+    These are the positive `mode_frequencies` at position 0; there are none without elastic belts.
     """
     return [float(frequency) for frequency in mode_frequencies(machine) if frequency > 0.0]
 

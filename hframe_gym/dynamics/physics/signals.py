@@ -132,7 +132,13 @@ class SignalEquations(BeltEquations):
         return [self._delay("measurement_delay", s.channel) for s in self.machine.sensors]
 
     def step_factor(self, effect_states: Mapping[int, Value]) -> Value:
-        """Return the duration of a step / its duration by the log's clock, given the effects' states, SI."""
+        """Return the true duration of a step of the integrator divided by that by the log's clock.
+
+        The ratio is dimensionless, and 1 without an effect on the clock.
+
+        Args:
+            effect_states: State of each effect that has one, SI, by index in `instances`.
+        """
         factor: Value = 1.0
         for k, e in self.effects_at("clock", "machine"):
             factor = factor + self.evaluate(e, "clock", {"z": effect_states[k]})

@@ -26,7 +26,12 @@ def function_source(trace: Trace) -> str:
 
 
 def count_uses(value: Expression, uses: Counter[Expression]) -> None:
-    """Count one more use of a value; its operands are used once for all places where it is."""
+    """Count one more use of a value and, if it is its first one, one more use of each of its operands.
+
+    Args:
+        value: Expression that a statement uses.
+        uses: Number of uses by expression; increased here.
+    """
     uses[value] += 1
     if uses[value] == 1:
         for operand in value.operands:

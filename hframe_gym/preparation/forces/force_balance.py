@@ -59,11 +59,14 @@ class Balance(NamedTuple):
 
 
 def explains_instead(unexplained: float, declared: float) -> bool:
-    """Decide whether another wiring clearly explains more of the motion than the declared one.
+    """Decide whether another assignment of drives, sensors or signs explains the motion better than declared.
+
+    It must leave less than `CLEARLY_LESS` of what the declared one leaves unexplained, and explain at least
+    the fraction `IMPROVEMENT` of the motion more.
 
     Args:
-        unexplained: Fraction that the other wiring leaves unexplained, from 0 to 1.
-        declared: Fraction that the declared wiring leaves unexplained.
+        unexplained: Fraction that the other assignment leaves unexplained, from 0 to 1.
+        declared: Fraction that the declared assignment leaves unexplained.
     """
     return unexplained < declared - IMPROVEMENT and unexplained < CLEARLY_LESS * declared
 

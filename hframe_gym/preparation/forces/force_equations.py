@@ -86,7 +86,7 @@ class ForceEquations(NamedTuple):
 
     @property
     def determined(self) -> bool:
-        """Whether the drives exert a force and there are enough rows for a regression."""
+        """Whether the drives exert a force and there are five rows per coefficient of the regression."""
         return len(self.force) >= _ROWS_PER_COEFFICIENT * self.columns.shape[1] and bool(self.force.any())
 
 

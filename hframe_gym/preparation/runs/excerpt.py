@@ -72,10 +72,10 @@ def representative_part(
 
 
 def is_long(recording: Recording, machine: Machine) -> bool:
-    """Return whether a run is longer than a typical run of a session of normal size.
+    """Return whether a run has more than an eighth of the rows of a normal session (`NORMAL_SESSION`).
 
     Args:
-        machine: Machine that was recorded.
+        machine: Machine that was recorded; rows count once per coordinate.
     """
     return len(recording.time_s) * len(machine.coordinates) > NORMAL_SESSION / _RUNS
 

@@ -14,7 +14,7 @@ _COVERED = 0.5  # fraction of a run's rows in its parts; with more, the parts ar
 
 
 def short_runs(recordings: Sequence[Recording]) -> dict[str, str]:
-    """Find runs that are too short for the filters, such as pieces of a log with gaps.
+    """Find runs with fewer than 20 rows, such as pieces of a log with gaps; filters need these rows.
 
     If all runs are too short, the result is empty, because none can be left out.
 

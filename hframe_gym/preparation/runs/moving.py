@@ -82,6 +82,8 @@ def runs_that_should_move(data: Dataset, machine: Machine, moving: Sequence[str]
 def turns_steadily(outputs: Array, noise: Array, machine: Machine) -> bool:
     """Return whether a speed sensor measures a nonzero speed in a run, even if it is constant.
 
+    It does if the median of its measurements exceeds `_STEADY_SPEED` standard deviations of its noise.
+
     Args:
         outputs: Measurements of the run, in the channels' units, NaN where not measured, shape (n, sensors).
         noise: Noise of the sensors, in the same units, shape (sensors,).

@@ -34,18 +34,19 @@ _SET_POINTS = ("length", "angle", "linear speed", "angular speed")
 
 
 def proposed_headers(machine: Machine, missing: Sequence[str], unused: Sequence[LogColumn]) -> dict[str, str]:
-    """Propose the header of a column for each unassigned channel; "COLUMN" (`NO_PROPOSAL`) if none fits.
+    """Propose the header of a column for each unassigned channel, for the user to confirm.
 
-    Channels with the fewest candidates come first. A column whose quantity is exactly that of one channel is
-    not proposed for another channel, which would need a conversion. If several channels compete for fewer
-    columns, none of them gets a proposal.
+    A column may be a channel by its unit, else by a name of its quantity, else by its first letter, such as u
+    or v for a voltage. A column whose quantity is exactly that of one channel is not proposed for another
+    channel, which would need a conversion. If several channels compete for fewer columns, none of them gets a
+    proposal.
 
     Args:
         missing: Names of the channels without a column, and "time_s" if the times have none.
         unused: Columns of the log that no channel uses.
 
     Returns:
-        Header, or "COLUMN", by channel in `missing`.
+        Header by channel in `missing`; "COLUMN" (`NO_PROPOSAL`) if no column may be the channel.
     """
     candidates = {channel: _candidates(machine, channel, unused) for channel in missing}
     alike = {

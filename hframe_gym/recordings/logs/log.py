@@ -159,7 +159,15 @@ class Log:
         return ()
 
     def columns_named_like(self, channel: str) -> list[LogColumn]:
-        """Find the column whose header is a channel, such as "x_m", or all with its name without the unit."""
+        """Find the columns that a channel may have by its name.
+
+        Args:
+            channel: Name of the channel with its unit, such as "x_m".
+
+        Returns:
+            The column with exactly this header; otherwise all columns of the same name without unit ("x"),
+            except for case, blanks and punctuation.
+        """
         name = plain_name(split_unit(channel)[0])
         named = [column for column in self.columns if plain_name(column.name) == name]
         return [column for column in self.columns if column.header == channel] or named
@@ -171,10 +179,10 @@ def plain_name(name: str) -> str:
 
 
 def headers_text(columns: Sequence[LogColumn]) -> str:
-    """List the headers of columns for a message, with units from a row of units.
+    """List the headers of columns for a message, separated by commas, each with its unit from a row of units.
 
-    Columns of joined files are listed with their file, if not all are of one file. Only count those beyond
-    200.
+    Columns of joined files are listed with their file, if not all are of one file. After 200 headers, the
+    text only states how many more there are.
     """
     several = len({column.file for column in columns}) > 1
     listed = []
@@ -187,7 +195,9 @@ def headers_text(columns: Sequence[LogColumn]) -> str:
 
 
 def log_columns(headers: Sequence[str], units: Sequence[str], kinds: Sequence[str]) -> tuple[LogColumn, ...]:
-    """Build the columns of a table; a repeated name gets a number, an empty one is named by its position.
+    """Build the columns of a table.
+
+    A repeated header gets a number ("x.2"), an empty one is "#" with its position from 1.
 
     Args:
         headers: Headers as written in the file, possibly with units.

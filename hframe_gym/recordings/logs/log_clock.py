@@ -48,8 +48,8 @@ def continued_counter(times: Array) -> tuple[Array, str]:
         times: Times in the unit of the log, NaN where there is none, shape (n,).
 
     Returns:
-        times: Continuous times in the unit of the log, shape (n,); the given times if they do not go back, or
-            not due to an overflow.
+        times: Continuous times in the unit of the log, shape (n,). The given times are returned unless each
+        step back is that of one counter in `_COUNTERS`, within three sampling periods.
         remark: Note for the user on the change; "" if nothing was changed.
     """
     for modulus, words in _COUNTERS.items():
@@ -66,8 +66,9 @@ def continued_over_midnight(times: Array) -> tuple[Array, str]:
         times: Times of day, s, NaN where there is none, shape (n,).
 
     Returns:
-        times: Times, s, shape (n,), that go on after midnight; those given if they do not go back by about a
-        day. remark: What was done, for the user; "" for nothing.
+        times: Times, s, shape (n,), with a day (86,400 s) added after each midnight. The given times are
+        returned unless each step back is a day, less at most 600 s (`LONGEST_GAP`).
+        remark: What was done, for the user; "" for nothing.
     """
     # A day less than the longest gap of a recording: a longer one would be refused.
     continued, midnights = _continued(times, _DAY, LONGEST_GAP)
@@ -99,13 +100,16 @@ def _continued(times: Array, modulus: float, longest: float | None) -> tuple[Arr
 def clock_sections(time_s: Array) -> list[slice]:
     """Cut a log where its clock restarts, as when a controller is reset while the logger runs.
 
+    A clock restarts where the time goes back by more than half of the time since its last start, and stays
+    earlier than before for at least three rows.
+
     Args:
         time_s: Times, s, NaN where there is none, shape (n,).
 
     Returns:
-        Rows of each section, in the order of the log. Sections of fewer than ten different times are left
-        out, unless a tenth of the rows is in such sections: these are no restarts, and all rows are returned
-        as one section.
+        Rows between two starts of the clock, in the order of the log. Those with fewer than ten different
+        times are left out, unless they have a tenth of all rows: these are no restarts, and all rows are
+        returned as one slice.
     """
     rows = np.flatnonzero(np.isfinite(time_s))
     times, starts = time_s[rows], [0]
@@ -126,14 +130,15 @@ def _present(times: Array) -> Array:
 
 
 def replaced_rows(time_s: Array) -> tuple[NDArray[np.bool_], str]:
-    """Find rows that the next row replaces: it has the same time and other values, which is rare in this log.
+    """Find rows whose time the next row repeats, as when a logger writes a sample twice.
 
     Args:
         time_s: Times, s, NaN where there is none, shape (n,).
 
     Returns:
-        rows: The rows that the next one replaces, shape (n,); none if these are a tenth or more, or times go
-        back. remark: What was done, for the user; "" for nothing.
+        rows: True for each row that the next one replaces, shape (n,). None if these are a tenth of all rows
+        or more, which shows a coarse clock, or if times go back.
+        remark: What was done, for the user; "" for nothing.
     """
     replaced = np.zeros(len(time_s), np.bool_)
     rows = np.flatnonzero(np.diff(time_s) == 0.0)
@@ -152,7 +157,8 @@ def repair_of_times(time_s: Array) -> str:
         time_s: Times, s, of which some repeat or go back, shape (n,).
 
     Returns:
-        Sentence with the option that states the rate of the rows, or about the start of a clock.
+        Text from "; " on. If times go back, it advises to sort or delete rows; otherwise to state the rate of
+        the rows by the option --map time_s=RATE.
     """
     steps = np.diff(time_s)
     if np.any(steps < 0.0):

@@ -94,7 +94,11 @@ def log_name(path: Path) -> str:
 
 
 def run_of(log: Log) -> str:
-    """Return the name of the run into which a log is converted, before it is cut into several."""
+    """Return the name of the run into which a log is converted.
+
+    It is the one that the log states, else the name of its file and part, such as "test_3_slow-forward". If
+    the log is cut into several runs, they add a number to it.
+    """
     return log.run or "_".join(filter(None, (log_name(log.path), log.part)))
 
 

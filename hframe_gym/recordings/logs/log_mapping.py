@@ -124,7 +124,12 @@ class ProposedColumns(NamedTuple):
 
 
 def propose_columns(log: Log, machine: Machine) -> ProposedColumns:
-    """Assign columns of a log to channels by name, as `map_columns` does, and propose others for the rest."""
+    """Assign columns of a log to channels by name, as `map_columns` does, and propose others for the rest.
+
+    Returns:
+        Headers of the columns by channel: `named`, those that the names assign, and `proposed`, those that
+        the user should confirm (`proposed_headers`). A channel may be in neither.
+    """
     return _LogMapping(log, machine, MappingOptions()).proposals()
 
 

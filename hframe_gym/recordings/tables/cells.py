@@ -56,12 +56,20 @@ def is_stamp(cell: str) -> bool:
 
 
 def is_comment(line: str) -> bool:
-    """Return whether a line is a comment; a missing value such as #N/A at its start is none."""
+    """Return whether a line begins with #, % or //, and not with a missing value such as #N/A."""
     return line.lstrip().startswith(_COMMENT_SIGNS) and not is_missing(re.split(r"[,;\t ]", line.lstrip())[0])
 
 
 def detect_separator(lines: Sequence[str]) -> str:
-    """Return the separator that makes most lines rows of numbers, or else the one that fits the last line."""
+    """Find the separator of a table's cells: one of `SEPARATORS`, a blank for one or more blanks.
+
+    Args:
+        lines: First lines of the file.
+
+    Returns:
+        The separator that makes most lines rows of numbers (`is_data`) with one number of cells. If none
+        makes any, the most frequent one in the last line, other than blanks.
+    """
     scores = {}
     written = [line for line in lines if line.strip() and not is_comment(line)]
     for separator in SEPARATORS:
@@ -84,7 +92,8 @@ def is_data(row: Sequence[str], least: float = 0.5) -> bool:
 
     Args:
         row: Cells of the row, see `split_row`.
-        least: Smallest fraction of them, 0 to 1, among the cells that are not missing (`is_missing`).
+        least: Smallest fraction of numbers and time stamps, 0 to 1, among the cells that are not missing
+            (`is_missing`).
     """
     numbers = texts = 0
     for cell in row:
@@ -96,7 +105,11 @@ def is_data(row: Sequence[str], least: float = 0.5) -> bool:
 
 
 def is_row(row: Sequence[str]) -> bool:
-    """Return whether a row belongs to the data: it has numbers, or its cells mark missing values."""
+    """Return whether a row belongs to the data.
+
+    It does if at least half of its cells that are not missing are numbers or time stamps (`is_data`), or if
+    all its cells are missing and not all are empty.
+    """
     return is_data(row) or (any(row) and all(map(is_missing, row)))
 
 

@@ -91,7 +91,8 @@ def import_command(path: Path, machine_name: str) -> str:
 
     Args:
         path: Log, or folder of logs.
-        machine_name: Name of the machine; its file is a blank in the command, unless it is the default.
+        machine_name: Name of the machine. Unless it is the default, the command has `--machine MACHINE`, in
+            which the user replaces MACHINE by the machine's file.
     """
     machine = "" if machine_name == _DEFAULT_MACHINE else " --machine MACHINE"
     return f"hframe import {quoted(str(path))}{machine} --out RUNS"

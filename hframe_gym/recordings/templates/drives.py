@@ -150,6 +150,9 @@ def _stepper(drive: Drive, channel: str) -> Drive:
 def with_stepper_damping(machine: Machine, inertias: Array) -> Machine:
     """Return a machine whose stepper motors have the usual damping, as friction of their coordinates.
 
+    It is the fraction `_DAMPING` of the critical damping of the motor's holding torque with the inertia that
+    it moves.
+
     Args:
         inertias: What each motor shaft moves while other drives hold, kg m^2, shape (drives,).
     """
@@ -166,7 +169,8 @@ def with_stepper_damping(machine: Machine, inertias: Array) -> Machine:
 def reaching_workspace(machine: Machine, drive: Drive) -> Drive:
     """Return a drive whose largest position command reaches the farthest corner of the workspace.
 
-    The command of a pulley is rounded up to an integer in rad. Other drives are returned unchanged.
+    If the drive's coordinate is not a tool axis, the command is rounded up to an integer (rad of a pulley).
+    Drives that do not follow a position are returned unchanged.
     """
     if drive.command != "position":
         return drive

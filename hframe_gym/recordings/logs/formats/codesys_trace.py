@@ -28,10 +28,12 @@ class CodesysTraces(LogFormat):
 
     @override
     def recognizes(self, path: Path, start: bytes) -> bool:
+        """Recognize the first words of a trace."""
         return start.removeprefix(b"\xef\xbb\xbf").startswith(_START)
 
     @override
     def open(self, path: Path) -> list[Log]:
+        """Read the samples of all variables, each with its own times, into one log."""
         text = path.read_text(encoding="utf-8-sig", errors="replace")
         starts = [*_VARIABLE.finditer(text)]
         ends = [match.start() for match in starts[1:]] + [len(text)]

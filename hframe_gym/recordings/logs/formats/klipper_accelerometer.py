@@ -24,11 +24,12 @@ class KlipperAccelerometerLogs(LogFormat):
 
     @override
     def recognizes(self, path: Path, start: bytes) -> bool:
+        """Recognize the header of a measurement, or of a spectrum, which `open` refuses."""
         return start.startswith((b"#", b"freq,")) and _header(start) != ""
 
     @override
     def open(self, path: Path) -> list[Log]:
-        """Open the table and assign units to its columns."""
+        """Open the table of a measurement and assign units to its columns."""
         with open(path, "rb") as file:
             header = _header(file.read(START_BYTES))
         if header != _HEADER:

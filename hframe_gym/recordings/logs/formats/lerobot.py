@@ -32,6 +32,10 @@ class LeRobotLogs(LogFormat):
 
     @override
     def recognizes(self, path: Path, start: bytes) -> bool:
+        """Recognize a Parquet file by its columns, which a data set of LeRobot must have.
+
+        The result is False without pyarrow.
+        """
         if not start.startswith(b"PAR1"):
             return False
         try:
@@ -50,6 +54,7 @@ class LeRobotLogs(LogFormat):
 
     @override
     def open(self, path: Path) -> list[Log]:
+        """Open a Parquet file of the data set; each episode in it is a log."""
         table = ParquetTable(path, _item_names(path))
         headers = [column.header for column in table.columns]
         (episodes,) = table.read([headers.index(_EPISODE)])

@@ -44,7 +44,10 @@ class MatlabLogs(LogFormat):
 
     @override
     def open(self, path: Path) -> list[Log]:
-        """Open a file whose vectors all are read at once."""
+        """Read all vectors of numbers in a MATLAB or HDF5 file at once, in a separate process.
+
+        The columns of the log are these vectors; each experiment of an iddata object is a log.
+        """
         with open(path, "rb") as file:
             start = file.read(_MATLAB_BLOCK + len(_HDF5))
         is_hdf5 = _HDF5 in (start[: len(_HDF5)], start[_MATLAB_BLOCK:])

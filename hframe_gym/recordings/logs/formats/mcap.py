@@ -29,10 +29,15 @@ class McapLogs(LogFormat):
 
     @override
     def recognizes(self, path: Path, start: bytes) -> bool:
+        """Recognize the first bytes of an MCAP file."""
         return start.startswith(b"\x89MCAP0\r\n")
 
     @override
     def open(self, path: Path) -> list[Log]:
+        """Open the numbers in the messages of all topics as one log.
+
+        A file that ends early is read up to there.
+        """
         advice = "export its signals as CSV, with PlotJuggler or Foxglove"
         require_extra(path, "MCAP files", "ros", ["mcap", "mcap_protobuf", "rosbags"], advice)
         file = _McapFile(path)

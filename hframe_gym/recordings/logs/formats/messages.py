@@ -37,7 +37,7 @@ class MessageSource(ABC):
 
     @abstractmethod
     def topics(self) -> dict[str, str]:
-        """Return the topics with the kind of their messages."""
+        """Return the type of the messages, such as "sensor_msgs/msg/JointState", by topic."""
 
     @abstractmethod
     def messages(self, topic: str) -> Iterator[tuple[int, Any]]:

@@ -27,10 +27,12 @@ class ParquetLogs(LogFormat):
 
     @override
     def recognizes(self, path: Path, start: bytes) -> bool:
+        """Recognize the first bytes of a Parquet file."""
         return start.startswith(b"PAR1")
 
     @override
     def open(self, path: Path) -> list[Log]:
+        """Open the table as one log; each item of a column of lists is a column."""
         table = ParquetTable(path)
 
         def read(indices: Sequence[int], progress: Progress | None) -> tuple[list[NDArray[Any]], list[str]]:

@@ -38,6 +38,7 @@ class RosBagLogs(LogFormat):
 
     @override
     def open(self, path: Path) -> list[Log]:
+        """Open the numbers in the messages of all topics as one log."""
         advice = "export its signals as CSV, for example with PlotJuggler"
         require_extra(path, "bags of ROS", "ros", ["rosbags"], advice)
         version = 1 if path.is_file() and path.suffix.lower() != ".db3" else 2

@@ -40,7 +40,7 @@ class SimpleFocLogs(LogFormat):
 
     @override
     def open(self, path: Path) -> list[Log]:
-        """Open the table; columns get names if there are 4 or 7 of them."""
+        """Open the table; 4 or 7 columns without names get those of SimpleFOC's monitor variables."""
         log = open_text_table(path, ("it is the output of SimpleFOC's monitor",))
         unnamed = [
             column for column in log.columns if column.kind == "number" and column.header.startswith("#")

@@ -58,13 +58,21 @@ _ADVICE = "of JSON files only those of WPILib's SysId are read; export a table a
 
 
 def are_states(texts: Iterable[str]) -> bool:
-    """Return whether texts mark tests of SysId: all are known states, and at least one is a test."""
+    """Return whether the texts of a column mark tests of SysId.
+
+    They do if all are states of a test (`STATES`, such as "dynamic-forward") or "none", and not all are
+    "none".
+    """
     different = set(texts)
     return different <= {*STATES, NO_TEST} and not different <= {NO_TEST}
 
 
 def tests_of_states(states: Sequence[str]) -> list[tuple[str, int, int]]:
-    """Return the tests in a sequence of states: state, index of the first row, index after the last row."""
+    """Find the tests of SysId in the state of each row: successive rows of one state other than "none".
+
+    Returns:
+        State, index of the first row, and index after the last row of each test.
+    """
     changes = [k for k in range(len(states)) if k == 0 or states[k] != states[k - 1]]
     ends = [*changes[1:], len(states)]
     return [
@@ -78,7 +86,10 @@ def numbered(tests: Sequence[tuple[str, Place, Place]]) -> list[tuple[str, Place
     """Make names of tests unique: those that occur more than once get a number, "dynamic-forward_2".
 
     Args:
-        tests: Name, begin and end of each test.
+        tests: Name, begin and end of each test; the ends are rows, or times in s.
+
+    Returns:
+        The tests in the same order with their new names.
     """
     counts, numbers = Counter(name for name, _, _ in tests), Counter[str]()
     different = []

@@ -72,11 +72,15 @@ class WpiLogs(LogFormat):
 
     @override
     def recognizes(self, path: Path, start: bytes) -> bool:
+        """Recognize the first bytes of a data log of WPILib."""
         return start.startswith(b"WPILOG")
 
     @override
     def open(self, path: Path) -> list[Log]:
-        """Find the records of all entries; texts and raw data are left out."""
+        """Read the entries of numbers, each with its own times, into one log, or one for each test of SysId.
+
+        Texts and raw data are left out.
+        """
         content = path.read_bytes()
         entries, is_complete = _entries(path, content)
         remarks = ["it is a data log of WPILib"]
