@@ -292,9 +292,11 @@ def _sized(current: Fit, label: str, rival: AppliedEffect, data: Dataset) -> Fit
 
 
 def most_likely_fit(fitted: Fit, data: Dataset, largest_loss: float = math.inf) -> Fit:
-    """Fit again with an observer and in simulation, both with the shortest step; return the more likely fit.
+    """Fit again with the observer of a fit and with the narrowest one; return the more likely fit.
 
-    The longer integration step of the search is too inaccurate to distinguish a delay of 0.1 ms from a lag.
+    The narrowest observer that suits the data is that of a simulation, if the voltages are known
+    (`bandwidths_for`). Both fits have the shortest integration step: that of the search is too inaccurate to
+    distinguish a delay of 0.1 ms from a lag.
 
     Args:
         fitted: Fit at any observer bandwidth, from which both fits start.

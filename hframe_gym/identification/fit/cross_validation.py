@@ -268,16 +268,17 @@ def pieces_left_out(runs: int, *, table: bool) -> int:
 def contradicting_run(fitted: Fit, data: Dataset) -> str | None:
     """Find the run that contradicts the other runs: a machine fitted to them does not explain it.
 
-    The cause may be a mistake (a slipped belt, another amplifier setting) or an effect that only this run
-    excites.
+    Each run in turn is left out of the fit, by a linear model. One contradicts if its chi-squared per sample
+    is then more than 10 times that of the others. The cause may be a mistake (a slipped belt, another
+    amplifier setting) or an effect that only this run excites.
 
     Args:
         fitted: Fitted machine with its observer bandwidth.
         data: Runs to which it was fitted.
 
     Returns:
-        Name of the run; None if there is none (`judge.run.contradicting_run`) or there are fewer than three
-        runs.
+        Name of the run with the largest ratio (`judge.run.contradicting_run`); None if none contradicts or
+        there are fewer than three runs.
     """
     if len(data.runs) < MIN_RUNS_COMPARED:
         return None

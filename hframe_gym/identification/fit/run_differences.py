@@ -175,12 +175,12 @@ def find_run_differences(fitted: Fit, data: Dataset, criteria: SelectionCriteria
     Args:
         fitted: Machine from whose parameters the fits start, fitted to all runs or to those that agree.
         data: All runs (times, voltages, measurements, SI).
-        criteria: Decision thresholds for what explains the data.
+        criteria: Decision thresholds of `judge.run.explains_by_run`.
 
     Returns:
-        The quantity with the smallest remaining error that explains the data and differs between the runs.
-        None if there is no such quantity, one machine explains all runs, there are fewer than three runs, or
-        the machine diverges.
+        The quantity with the smallest remaining error that explains the runs by this rule and differs between
+        them. None if there is no such quantity, one machine explains all runs, there are fewer than three
+        runs, or the machine diverges.
     """
     found = [each for each in _compared(fitted, data, criteria) if each.explains and each.differs]
     return min(found, key=lambda each: each.chi2, default=None)

@@ -280,7 +280,7 @@ def most_probable_start(
     errors: Callable[[Array, int], Array],
     time_s: Array,
 ) -> Array:
-    """Return the state from which a run most probably began, given all of its measurements.
+    """Return the state from which a run most probably began, by a function that simulates it.
 
     It is the state of maximum posterior density. It minimizes the sum of squared simulation errors in units
     of the noise plus the sum of squared displacements from the measured state in units of their standard
@@ -296,12 +296,11 @@ def most_probable_start(
         machine: Machine to simulate. Its effects may have states that remember earlier motion, such as
             hysteresis.
         initial: Measured initial state of the run.
-        state: Positions (m, rad), then velocities (m/s, rad/s), by the measurements at rest,
-            shape (2 * coordinates,).
-        errors: Function that simulates the first rows of the run from states,
-            shape (B, 2 * coordinates + effect states), and returns measured minus simulated values in units
-            of the noise, shape (B, values), not finite where the simulation diverges. Its second argument is
-            the number of rows.
+        state: Positions (m, rad), then velocities (m/s, rad/s), by the measurements at rest, shape (2 *
+            coordinates,).
+        errors: Function that simulates the first rows of the run from states, shape (B, 2 * coordinates +
+            effect states), and returns measured minus simulated values in units of the noise, shape (B,
+            values), not finite where the simulation diverges. Its second argument is the number of rows.
         time_s: Sample times of the run, s, shape (n,).
 
     Returns:

@@ -110,7 +110,11 @@ def describe_interpolation(machine: Machine, data: Dataset) -> str:
 def other_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> VoltageUpdates | None:
     """Check, after effects were found, whether the voltages change more or less often per row than assumed.
 
-    The effects that the first count lacked caused an error that may have falsified it.
+    The effects that the first count lacked caused an error that may have falsified it. Held voltages are
+    compared with changing ones again (`voltage_updates`). Otherwise the delay of the voltages must differ
+    clearly from that of the assumed number, and another number must pass
+    `judge.voltages.another_rate_explains_more`; beside a delay of the drives, which makes up for any number,
+    the errors alone decide (`number_with_clear_gains`).
 
     Args:
         fitted: Fit of a machine with effects to the runs.
@@ -118,8 +122,8 @@ def other_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> Vo
         criteria: Decision thresholds for the reduction of the error.
 
     Returns:
-        The number of changes if it clearly differs from the assumed one, else None. Also None if an earlier
-        search rejected this number with at least as many effects.
+        The other number of changes with its errors; None if the assumed one stays, or if an earlier search
+        rejected the other one with at least as many effects.
     """
     count = _counted_again if data.has_voltage_errors else voltage_updates
     updates = count(fitted, data, criteria)
