@@ -50,12 +50,17 @@ def long_run_variance(fitted: Fit, label: str, data: Dataset) -> LongRunVariance
 def variance_of_change(
     runs: Sequence[tuple[Array, Array]], machine: Machine, data: Dataset
 ) -> LongRunVariance:
-    """Return the same factor as `long_run_variance` for a change of predictions without free parameters.
+    """Return the factor of `long_run_variance` in the direction of a given change of the predictions.
+
+    No parameter is fitted beside the change.
 
     Args:
-        runs: Of each run, the change and the residual beside it, in units of the noise, shape (values,) each.
+        runs: Of each run, the change and the residual with it, in units of the noise, shape (values,) each.
         machine: Machine with the sensors of these values.
         data: Data set of the runs, for the sampling period.
+
+    Returns:
+        Factor, dimensionless, for one parameter, with the number of blocks of 0.5 s.
     """
     rows = [RunLinearization(change[None], None, residual, None) for change, residual in runs]
     return variance_along(rows, np.array([True]), np.zeros((1, 1)), *_blocks(machine, data))

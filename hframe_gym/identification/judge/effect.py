@@ -397,8 +397,8 @@ def fault_of_machine(behavior: MachineBehavior) -> str:
     """Return why a machine with effects is not physical outside its recordings, or "" if it is physical.
 
     It is not if an effect has a parameter below the least value of what its name says, or if the machine,
-    driven by random voltages up to the rated one, diverges or is more than five times (`LARGEST_SPEED_RATIO`)
-    as fast as without the effects.
+    under voltages that switch at random between the rated ones, diverges or is more than five times
+    (`LARGEST_SPEED_RATIO`) as fast as without the effects.
 
     Args:
         behavior: Top speeds and effects whose names do not fit their values.

@@ -52,7 +52,7 @@ class UncertainStart(NamedTuple):
 
     @property
     def displaced_states(self) -> Array:
-        """The state after each displacement, scaled by `differences`, SI, shape (displacements, state)."""
+        """State plus the fraction `differences` of each displacement, SI, shape (displacements, state)."""
         return self.state + self.differences[:, None] * self.displacements
 
 

@@ -43,7 +43,7 @@ def voltage_responses(
         machine: Machine that predicts.
         run: Run to predict, n samples.
         data: Data set of the run.
-        rows: Rows whose voltages may be wrong, in ascending order, shape (r,).
+        rows: Indices of the rows whose voltages may be wrong, in ascending order, shape (r,).
         bandwidth: Bandwidth of the observer, rad/s.
         per_block: Rows of the residual that are combined into one. Default: those within 4 ms.
         settled: Product of bandwidth and time after which a response counts as corrected, dimensionless.
@@ -51,8 +51,8 @@ def voltage_responses(
         most_values: Measurements that are predicted together, at most, unless one perturbation has more.
 
     Returns:
-        Jacobian, 1/V, shape (m, r * drives), and residual, dimensionless, shape (m,), with one value per
-        sensor in each (combined) row, m in total.
+        Jacobian, 1/V, shape (m, r * drives), all drives of a row before the next one, and residual,
+        dimensionless, shape (m,), with one value per sensor in each (combined) row, m in total.
 
     References:
         Curtis, Powell and Reid (1974), on the estimation of sparse Jacobian matrices.

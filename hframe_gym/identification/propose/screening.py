@@ -281,10 +281,11 @@ class LimitedResidual:
     def where_limits_bind(
         cls, equations: NormalEquations, precision: Array, free: Sequence[FreeParameter], theta: Array
     ) -> LimitedResidual | None:
-        """Return the linearized residual with limits, or None if no limit matters.
+        """Return the linearized residual with limits, or None if the limits make no difference.
 
-        None matters if the best step of the linear model, without limits, ends within the limits of all
-        parameters. The result is also None if the equations are not finite, because a simulation diverges.
+        They make none if the best step of the linear model, computed without limits, ends within the limits
+        of all parameters. The result is also None if the equations are not finite, because a simulation
+        diverges.
 
         Args:
             equations: Normal equations with k free parameters.

@@ -357,10 +357,14 @@ def fit_with_candidate(
 ) -> Fit:
     """Add a candidate effect to the machine and fit both together, with few iterations.
 
+    If the effect has a threshold, a fit from another one, which promises a lower cost, is made as well; the
+    better fit counts.
+
     Args:
         current: Fit without the effect; the new one has the same observer bandwidth.
         scored: Screened candidate with the amounts (weights) of its basis functions.
         scales: Typical forces, speeds and travels on this machine; the new parameters are multiples of them.
+        data: Runs that are fitted.
         goal: Cost, dimensionless, above which the fit is of no use (`fit`).
 
     Returns:
@@ -439,11 +443,14 @@ def _all_free(machine: Machine, scales: TypicalScales) -> tuple[tuple[FreeParame
 
 
 def fit_with_effects(current: Fit, effects: Sequence[AppliedEffect], data: Dataset) -> Fit:
-    """Add effects that were fitted before to a machine, and fit all until convergence.
+    """Add effects that were fitted before to a machine, and fit all parameters until convergence.
+
+    A second fit starts from the declared parameters of the machine (`converge`); the better one counts.
 
     Args:
         current: Fit without the effects; the new one has the same observer bandwidth.
         effects: The effects with their starting values, those that others need first.
+        data: Runs that are fitted.
     """
     machine = start_with_effects(current, effects)
     trial = _trial_fit(machine, *_all_free(machine, typical_scales(current, data)), current, data)

@@ -143,14 +143,14 @@ class EffectSearch:
         self._seconds = 0.0  # processor time for the fit and the tests of the last effect that passed, s
 
     def with_data(self, data: Dataset) -> EffectSearch:
-        """Return a copy of this search that uses other data but remembers which effects have failed a test.
+        """Return a copy of this search that fits other data and remembers what it has tried.
 
         Args:
             data: Prepared recordings to fit, for example with corrected zeros.
 
         Returns:
-            Search with a copy of `considered`; structural effects are tried again once the error is clearly
-            smaller.
+            Search with a copy of `considered`. If structural effects were tried in vain, they are tried again
+            only when the error has clearly fallen since (`judge.trial.is_worth_structures`).
         """
         search = EffectSearch(
             data, self._refitted, self._criteria, self._log, self._drawback, counts=self._counts

@@ -46,21 +46,23 @@ def with_input_timing(
 ) -> SearchOutcome:
     """Add a delay or lag of the drives to the effects that a search found, if the fitted runs confirm it.
 
-    It is tried if effects explain most of the error, but leave forces of unknown size. Judged by an observer
-    whose bandwidth times the sampling period is 0.3, an effect is added if it passes these tests:
+    It is tried if the search found effects that do not explain the runs and needs the widest observer (60
+    rad/s), if the machine has no delay or lag yet, and if the sampling period is shorter than 5 ms. With an
+    observer whose bandwidth times the sampling period is 0.3, an effect is added if it passes these tests:
 
     - This observer is more likely than that of the search (60 rad/s): the sensors resolve fast errors.
     - The effect is fast: it removes a larger fraction of the error than with the observer of the search.
     - Chance does not explain the reduction, given how the remaining error is correlated in time.
     - Runs (of fewer than four, pieces of them) to which it was not fitted confirm it.
     - The machine with the effect does not diverge under random rated voltages.
-    - The effect reduces the error of the held-out runs, judged by the same observer.
+    - The effect reduces the error of the held-out runs with the same observer.
 
     The parameters are fitted with the observer of the search, together with all others.
 
     Args:
         outcome: Outcome of a search, after the held-out runs have confirmed its effects.
         held_out: Held-out runs that do not contradict the fitted ones.
+        criteria: Decision thresholds of `judge.effect.doubt_about_timing`.
         log: Called with a line of text for an effect that is tried.
 
     Returns:

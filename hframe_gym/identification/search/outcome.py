@@ -76,8 +76,8 @@ def with_removed(
         log: Called with a line of text.
 
     Returns:
-        Outcome with the fit `reduced`, or the refitted machine if no effect is left, and the verdict that
-        follows.
+        Outcome with the fit `reduced`, or the refitted machine if no effect is left, and the verdict of
+        `judge.verdict.verdict_after_removal`.
     """
     log(f"  {removed.effect.label} is removed: it {reason}")
     entry = ConsideredEffect(removed.effect, outcome.after.machine, reduced.machine, reason)
@@ -95,10 +95,12 @@ def without_names(outcome: SearchOutcome, reason: str) -> SearchOutcome:
     """Return an outcome that names no effect: all are moved to the considered (rejected) ones.
 
     Args:
+        outcome: Outcome with effects.
         reason: Why the effects are not named, a clause that follows "it is not named: ".
 
     Returns:
-        Outcome with the fit of the refitted machine, without effects, and the verdict that follows.
+        Outcome with the fit of the refitted machine; the verdict is "no_effect" if this machine explains the
+        fitted runs, else "unexplained".
     """
     entries = (
         ConsideredEffect(s.effect, outcome.after.machine, outcome.before.machine, f"is not named: {reason}")

@@ -216,22 +216,23 @@ def add_tables(
     """Add tables (forces or Coulomb friction over one variable) that reduce the residual of a fitted machine.
 
     Each step ranks the proposed tables by their linearized gain (predicted reduction of chi-squared) and adds
-    the first one that passes cross-validation. For this, each run is divided into halves (into more pieces if
-    there are fewer than four runs). Each piece is predicted with parameters that are fitted to all other
-    pieces. On average (`_left_out_ratio`), these costs must be below `max_table_cross_validation` times those
-    without the table. The gain on all data must suffice as well.
+    the first one that passes cross-validation and reduces chi-squared per sample by `required_gain`. For the
+    cross-validation, each run is divided into halves (into more pieces if there are fewer than four runs).
+    Each piece is predicted with parameters that are fitted to all other pieces. The geometric mean of these
+    costs must be below `max_table_cross_validation` (0.4) times that without the table.
 
     Args:
         current: Fit of the machine with the effects selected so far; all fits have its observer bandwidth.
         selected: Effects selected so far.
-        criteria: Decision thresholds. A table must reduce chi-squared per sample by as much as an effect.
+        data: Runs that are fitted.
+        criteria: Decision thresholds.
         max_tables: Largest number of tables to add.
         log: Called with a line of text for every table that passes cross-validation.
 
     Returns:
         fit: Fit of the machine with the tables.
         selected: All selected effects, the tables last, with their fitted parameters. Without a suitable
-            table, the results are `current` and `selected` themselves.
+        table, the results are `current` and `selected` themselves.
     """
     for _ in range(max_tables):
         scales = typical_scales(current, data)
@@ -308,7 +309,8 @@ def _knots_moved(fitted: Fit, label: str) -> Fit:
 def knots_at_bends(knots: Array, values: Array, covariance: Array) -> Array:
     """Place the knots of a table more densely where its curve is significantly bent.
 
-    The first and the last knot stay.
+    Their density grows with the power 0.4 of the second derivative beyond two of its standard deviations; a
+    sixth of the knots stays evenly spaced. The first and the last knot do not move.
 
     Args:
         knots: Increasing values of the table's variable, in its unit, shape (KNOTS,), see `smooth_table`.

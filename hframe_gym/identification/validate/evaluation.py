@@ -62,10 +62,11 @@ _UNSTABLE = (
 def with_certain_effects(outcome: SearchOutcome, criteria: SelectionCriteria, log: LineLog) -> SearchOutcome:
     """Remove the effects whose amplitude may be zero, given the covariance of the fitted parameters.
 
-    The least certain effect is removed first and the remaining parameters are fitted again: without it, the
-    other effects may be certain. An effect that another one requires stays while the other one does. A
-    possible delay of the inputs is no reason to remove a delay or lag of the drives, because it is
-    what such an effect describes.
+    An amplitude is certain if it is 4.9 standard deviations from 0 (`judge.effect.uncertain_size`). The least
+    certain effect is removed first and the remaining parameters are fitted again: without it, the other
+    effects may be certain. An effect that another one requires stays while the other one does. A possible
+    delay of the inputs is no reason to remove a delay or lag of the drives, because it is what such an effect
+    describes.
 
     Args:
         outcome: Outcome of a search, after the held-out runs have removed effects.

@@ -16,19 +16,19 @@ from .machine_errors import ModelEvaluation
 
 
 def predictions_by_run(model: ModelEvaluation, held_out: Dataset, fitted: Dataset) -> Array:
-    """Compute the prediction errors of a machine on each held-out run, by sensor.
+    """Compute the squared prediction errors on each held-out run, by sensor, relative to an exact machine.
 
-    The observer is the one that judges effects. The noise is that at rest: jitter of the clock is estimated
-    from the motion, and an error may be mistaken for it.
+    The observer is the one that judges effects, of 15 rad/s (`JUDGING_BANDWIDTH`). The noise is that at rest:
+    jitter of the clock is estimated from the motion, and an error may be mistaken for it.
 
     Args:
         model: Machine with the zeros of its encoders.
         held_out: Held-out runs.
-        fitted: Runs that the machine was fitted to.
+        fitted: Runs that the machine was fitted to; the zeros of encoders may follow from them.
 
     Returns:
-        Mean squared error in units of the noise / that of an exact machine, dimensionless,
-        shape (runs, sensors); NaN if not measured, infinite if a prediction diverges.
+        Mean squared error in units of the noise / that of an exact machine, dimensionless, shape (runs,
+        sensors); NaN if not measured, infinite if a prediction diverges.
     """
     refined = refine_dataset(held_out, model.machine, fitted)
     noise = held_out.noise

@@ -120,13 +120,15 @@ class Delivered(NamedTuple):
 def reserve_time_after_search(
     budget: Budget, tests: HeldOutTests, plain: PlainFit | None, fitted: Dataset, held_out: Dataset
 ) -> None:
-    """Reserve processor time for the evaluations after a search, if a held-out run is long.
+    """Reserve processor time for the evaluations after a search, if a held-out run is long (`is_long`).
 
-    The machines that are known before the search are evaluated, to measure how long that takes. After the
-    search, the refitted and the corrected machine are evaluated. The starts of the fitted runs, the
-    uncertainty and the report of the delivered machine take as long as one evaluation for each run.
+    The machines that are known before the search (the declared one and the plain fits) are evaluated, to
+    measure how long that takes. After the search, the refitted and the corrected machine are evaluated. The
+    starts of the fitted runs, the uncertainty and the report of the delivered machine take as long as one
+    evaluation for each run.
 
     Args:
+        budget: Budget of the identification, in which the time is reserved.
         tests: Tests by which machines are compared; they remember these evaluations.
         plain: Plain fit to the fitted runs, if there is one.
         fitted: Runs that are fitted.
