@@ -17,8 +17,9 @@ from ..propose.candidates import covered_by_runs
 def parameter_values(label: str, fitted: Fit) -> tuple[ParameterValue, ...]:
     """Return the parameters of a fitted effect, with the limits at which a value is hardly reliable.
 
-    These are the bounds of the parameter's range except 0, and, for a width or a rate that the motion must
-    cover, the ends of the range that the runs can determine.
+    These are the bounds of the parameter's range, except 0 and its starting values. For a parameter of which
+    the motion must show the value (`covered_by_runs`), the ends of the range that the runs can determine are
+    added.
 
     Args:
         label: Label (name@site) of the effect.

@@ -63,7 +63,7 @@ class FreeParameter:
 
     @property
     def of_effect(self) -> bool:
-        """Whether the parameter belongs to an effect, not to the machine itself."""
+        """Whether the parameter belongs to an effect (name@site.parameter), not to the machine itself."""
         return "@" in self.name  # the label of an effect is name@site
 
     @cached_property
@@ -101,13 +101,18 @@ class FreeParameter:
         return theta < low < 0.0 or 0.0 < high < theta
 
     def value(self, theta: Array) -> Array:
-        """Convert `theta`, dimensionless, of any shape, to the value, SI, clipped to the bounds."""
+        """Convert `theta`, dimensionless, of any shape, to the value, SI, clipped to the bounds.
+
+        The value is center * exp(theta), or center + scale * theta where `scale` is given.
+        """
         raw = self.center * np.exp(theta) if self.scale is None else self.center + self.scale * theta
         # For few values, a fifth of the time of `clip`.
         return np.minimum(np.maximum(raw, self.lower), self.upper)
 
     def theta(self, value: float) -> float:
         """Convert `value`, SI, to theta, the dimensionless variable of the optimizer.
+
+        It is log(value / center), or (value - center) / scale where `scale` is given.
 
         Raises:
             ValueError: If the parameter is fitted as a logarithm and the value is zero or has not the sign of
@@ -116,7 +121,10 @@ class FreeParameter:
         return math.log(value / self.center) if self.scale is None else (value - self.center) / self.scale
 
     def slope(self, theta: float) -> float:
-        """Return the derivative of the unbounded value, SI, by `theta`, dimensionless."""
+        """Return the derivative of the value, without its bounds, by `theta`, in the value's SI unit.
+
+        It is center * exp(`theta`), or `scale` where this is given; `theta` is dimensionless.
+        """
         return self.center * math.exp(theta) if self.scale is None else self.scale
 
     def prior_std(self, value: float) -> float:

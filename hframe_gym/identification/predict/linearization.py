@@ -193,7 +193,11 @@ class ResidualModel:
 
     @property
     def difference_steps(self) -> Array:
-        """Change of each theta over which its derivative is computed, dimensionless, shape (k,)."""
+        """Change of each theta over which its derivative is computed, dimensionless, shape (k,).
+
+        It is the attribute `difference_step` if that is given; otherwise 0.02 for a threshold
+        (`FreeParameter.switch`), and for others 1e-4, or 0.01 where parts collide.
+        """
         if self.difference_step is not None:
             return np.full(len(self.free), self.difference_step)
         step = _IMPACT_DIFFERENCE_STEP if has_impacts(self.machine) else DIFFERENCE_STEP

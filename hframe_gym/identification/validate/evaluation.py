@@ -390,8 +390,8 @@ def judged(evaluated: Evaluated, differing: Sequence[str], log: LineLog) -> Judg
     """Let the held-out runs confirm or withdraw the verdict and the names of effects.
 
     Effects whose names they do not permit (`HeldOutTest.contradiction`) are moved to the considered ones. The
-    verdict is then that of the refitted machine: "no_effect" if the held-out runs do not contradict this,
-    else "unexplained".
+    verdict is then "no_effect" if the refitted machine explains the fitted runs and the held-out runs do not
+    contradict that. In all other cases, a contradiction makes the verdict "unexplained".
 
     Args:
         evaluated: Outcome of a search with its machines.
