@@ -59,10 +59,14 @@ class ActionConversion:
         return _each_period(actions, self._inverse)
 
     def gains(self, gains: dict[str, list[list[float]]]) -> dict[str, list[list[float]]]:
-        """Convert the gains of features (`feature_parameters`) to those that give voltages of the training.
+        """Convert gains from observations to voltages (`feature_parameters`) to the machine of the training.
 
         Args:
-            gains: Of the machine that is controlled, by key of the observation.
+            gains: Gains of the machine that is controlled, by key of the observation, nested lists of shape
+                (voltages, entries of the key).
+
+        Returns:
+            Gains of the same shapes, which give voltages of the machine of the training.
         """
         converted = {key: self.to_training(np.transpose(values)).T for key, values in gains.items()}
         if "last_action" in converted:  # which the policy observes in voltages of the training as well

@@ -123,6 +123,12 @@ class Agent(Controller):
 
     @override
     def act(self, observation: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
+        """Compute the actions of the policy without exploration.
+
+        Raises:
+            InputError: If the observation has no preview of the goal that the policy needs, or one that it
+                does not know, entries of another shape, or other units than SI.
+        """
         self._check_units(observation)
         previews = "preview" in self.policy.observation_space.spaces
         if previews != ("preview" in observation):
@@ -153,6 +159,7 @@ class Agent(Controller):
 
     @override
     def replace_last_action(self, actions: Actions) -> None:
+        """Replace the last actions in the policy's next observation, if it observes them."""
         if self.mapping:
             self.mapping.replace_last_action(actions)
 

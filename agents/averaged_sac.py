@@ -62,6 +62,7 @@ class AveragedSAC(SAC):
 
     @override
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
+        """Train as SAC does, with the scheduled target entropy, and update the average of the actor."""
         if self.entropy_schedule:
             self.target_entropy = self.entropy_schedule(self._current_progress_remaining)
         super().train(gradient_steps, batch_size)

@@ -61,6 +61,7 @@ class AgentSource(ControllerSource):
     @staticmethod
     @override
     def describe(scenario: Scenario) -> str:
+        """Return "the folder of a trained agent", and the shipped agents for the scenario's task."""
         names = _recipes_of(_shipped_folders(scenario.task_name))
         if not names:
             return f"the folder of a trained agent (none was shipped for the task {scenario.task_name})"

@@ -43,6 +43,12 @@ class LawActor(Actor):
 
     @override
     def forward(self, obs: Any, deterministic: bool = False) -> Any:
+        """Return outputs for drives and laws, dimensionless, shape (batch, drives + laws).
+
+        Args:
+            obs: Observation by key, shape (batch, entries) each.
+            deterministic: Whether the outputs for the drives are not sampled; those for the laws never are.
+        """
         mean, log_std, _ = self.get_action_dist_params(obs)
         wider = log_std + math.log(EXPLORATION)
         explored = self.action_dist.actions_from_params(mean[:, : self._drives], wider, deterministic)
@@ -80,6 +86,17 @@ class ActionCritic(ContinuousCritic):
 
     @override
     def forward(self, obs: Any, actions: Any) -> Any:
+        """Estimate the returns of observations and policy outputs by all critics.
+
+        Args:
+            obs: Observation by key, with `action_offset`, `authority` and `law_actions`
+                (`ResidualAction.history`), shape (batch, entries) each.
+            actions: Outputs for drives and laws, dimensionless, shape (batch, drives + laws). If they need a
+                gradient, the critics get none.
+
+        Returns:
+            One tensor for each critic, shape (batch, 1).
+        """
         self.requires_grad_(not actions.requires_grad)  # the loss of the actor does not change the critics
         offset = obs["action_offset"]
         laws = obs["law_actions"].unflatten(1, (-1, offset.shape[1]))
@@ -104,11 +121,13 @@ class LawPolicy(MultiInputPolicy):
 
     @override
     def make_actor(self, features_extractor: Any = None) -> Any:
+        """Create a `LawActor`, as stable-baselines3 asks for it."""
         keywords = self._update_features_extractor(self.actor_kwargs, features_extractor)
         return LawActor(**keywords).to(self.device)
 
     @override
     def make_critic(self, features_extractor: Any = None) -> Any:
+        """Create an `ActionCritic`, which observes the action as well, as stable-baselines3 asks for it."""
         known = self.observation_space
         assert isinstance(known, spaces.Dict)
         judged = spaces.Dict({**known.spaces, "action": known["action_offset"]})

@@ -61,6 +61,7 @@ class Sb3Model(PolicyController):
 
     @override
     def reset(self, mask: Mask | None = None) -> None:
+        """Clear the memory of a recurrent policy for the machines in `mask`; None: all."""
         self._starts.reset(mask)
 
     def _mean_actions(self, observation: Any) -> Any:
@@ -117,6 +118,7 @@ class ZipSource(ControllerSource):
     @staticmethod
     @override
     def describe(scenario: Scenario) -> str:
+        """Return "a model that stable-baselines3 saved (NAME.zip)"."""
         return "a model that stable-baselines3 saved (NAME.zip)"
 
     @staticmethod

@@ -8,7 +8,7 @@ import pytest
 from tools import house
 from tools.house import Function, House, measure
 from tools.repository import ROOT
-from tools.sample_functions import describe, draw
+from tools.sample_functions import describe, draw, inherited_docstring
 
 
 @pytest.fixture(scope="module")
@@ -167,6 +167,19 @@ def test_the_sample_shows_the_docstring_of_the_method_that_one_overrides(tmp_pat
     method = ast.parse(source).body[0].body[0]  # type: ignore[attr-defined]
     function = Function(Path("hframe_gym/part.py"), "Part.name", method)
     assert describe(function, root=tmp_path).splitlines()[2:] == ["    (of Base)", "    Return the name."]
+
+
+def test_of_two_base_classes_with_one_name_that_of_the_same_folder_is_meant(tmp_path: Path) -> None:
+    for folder, text in (("agents", "far"), ("hframe_gym/app", "near"), ("hframe_gym/other", "far")):
+        (tmp_path / folder).mkdir(parents=True)
+        (tmp_path / folder / "base.py").write_text(
+            f"class Base:\n    def name(self) -> str:\n        '''Return the {text} name.'''\n"
+        )
+    (tmp_path / "hframe_gym/app/part.py").write_text(
+        "class Part(Base):\n    @override\n    def name(self) -> str: ...\n"
+    )
+    (function,) = (f for f in measure(tmp_path).public_functions if f.name == "Part.name")
+    assert inherited_docstring(function, tmp_path) == "(of Base)\nReturn the near name."
 
 
 def test_the_sample_shows_the_options_of_a_command(tmp_path: Path) -> None:

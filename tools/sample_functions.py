@@ -16,6 +16,7 @@ import copy
 import random
 from collections.abc import Iterator
 from functools import cache
+from itertools import takewhile
 from pathlib import Path
 
 from tools.command_line import command_line
@@ -76,26 +77,37 @@ def option_helps(function: Function, root: Path = ROOT) -> dict[str, str]:
 
 
 @cache
-def _classes(root: Path) -> dict[str, ast.ClassDef]:
-    """Return the classes of the packages by name."""
-    found = {}
+def _classes(root: Path) -> dict[str, list[tuple[Path, ast.ClassDef]]]:
+    """Return the classes of the packages, with their files relative to the repository, by name."""
+    found: dict[str, list[tuple[Path, ast.ClassDef]]] = {}
     for folder in ("hframe_gym", "agents"):
         for path in sorted((root / folder).rglob("*.py")):
             for node in ast.walk(ast.parse(path.read_text("utf-8"))):
                 if isinstance(node, ast.ClassDef):
-                    found[node.name] = node
+                    found.setdefault(node.name, []).append((path.relative_to(root), node))
     return found
 
 
-def _bases(name: str, root: Path) -> Iterator[ast.ClassDef]:
-    """Yield the base classes of a class, nearest first, without those of other packages."""
+def _bases(name: str, path: Path, root: Path) -> Iterator[ast.ClassDef]:
+    """Yield the base classes of a class, nearest first, without those of other packages.
+
+    Of several classes with one name, the one whose file has the most folders in common with `path` is meant.
+    """
     classes = _classes(root)
-    for base in classes[name].bases if name in classes else ():
+    if name not in classes:
+        return
+
+    def common_folders(named: tuple[Path, ast.ClassDef]) -> int:
+        pairs = zip(named[0].parts, path.parts, strict=False)
+        return len([*takewhile(lambda pair: pair[0] == pair[1], pairs)])
+
+    where, node = max(classes[name], key=common_folders)
+    for base in node.bases:
         plain = base.value if isinstance(base, ast.Subscript) else base
         base_name = ast.unparse(plain).rpartition(".")[2]
         if base_name in classes:
-            yield classes[base_name]
-            yield from _bases(base_name, root)
+            yield max(classes[base_name], key=common_folders)[1]
+            yield from _bases(base_name, where, root)
 
 
 def inherited_docstring(function: Function, root: Path = ROOT) -> str:
@@ -106,7 +118,7 @@ def inherited_docstring(function: Function, root: Path = ROOT) -> str:
         root: Repository that contains its file.
     """
     owner, _, method = function.name.rpartition(".")
-    for base in _bases(owner, root):
+    for base in _bases(owner, function.path, root):
         for node in base.body:
             if isinstance(node, ast.FunctionDef) and node.name == method and ast.get_docstring(node):
                 return f"(of {base.name})\n{ast.get_docstring(node)}"

@@ -148,7 +148,12 @@ def _frame(dark: bool) -> dict[str, Any]:
 
 
 def with_zoom(options: dict[str, Any], dark: bool) -> dict[str, Any]:
-    """Add a time slider, and zooming by Ctrl and wheel, to chart options, which are changed and returned."""
+    """Add a time slider, and zooming by Ctrl and wheel, to a chart of curves.
+
+    Args:
+        options: Options of ECharts; they are changed and returned.
+        dark: Whether the display is dark.
+    """
     options["dataZoom"] = [
         {"type": "inside", "xAxisIndex": "all", "zoomOnMouseWheel": "ctrl", "filterMode": "none"},
         {
@@ -168,7 +173,12 @@ def with_zoom(options: dict[str, Any], dark: bool) -> dict[str, Any]:
 
 
 def with_selection(options: dict[str, Any], dark: bool) -> dict[str, Any]:
-    """Let the mouse select a time interval in a chart of curves; its options are changed and returned."""
+    """Let the mouse select a time interval in a chart of curves.
+
+    Args:
+        options: Options of ECharts; they are changed and returned.
+        dark: Whether the display is dark.
+    """
     options["toolbox"] = {"show": False}
     options["brush"] = {
         "xAxisIndex": "all",
@@ -186,11 +196,13 @@ def with_selection(options: dict[str, Any], dark: bool) -> dict[str, Any]:
 
 
 def error_chart(errors: Sequence[tuple[float, float]], now: float, dark: bool) -> dict[str, Any]:
-    """Return the options of a chart of the best machine's error over the processor time of the search.
+    """Return options of ECharts for the best machine's error over the processor time of the search.
 
     Args:
-        errors: Processor time, s, and chi-squared per sample, at each change of the error.
-        now: Present processor time, s.
+        errors: Processor time, s, and chi-squared per sample, at each change of the error; its square root is
+            drawn, at least 0.03.
+        now: Present processor time, s, to which the last error is continued.
+        dark: Whether the display is dark.
     """
     muted, line = ink("muted", dark), ink("line", dark)
     points = [[t, max(e, 1e-3) ** 0.5] for t, e in errors]

@@ -15,7 +15,11 @@ _NO_ZOOM = 24  # pixels of the height below the curves that only a chart with a 
 
 
 def banner(tone: Literal["good", "neutral", "warning"], title: str, text: str) -> None:
-    """Show a sentence with a colored edge, after a title in the same color, which may be empty."""
+    """Show a sentence with a colored edge, green, gray or yellow by `tone`.
+
+    Args:
+        title: Title before the text, in bold; "" for none.
+    """
     strong = f"<b>{html.escape(title)}</b> " if title else ""
     ui.html(strong + html.escape(text), sanitize=False).classes(f"hf-banner hf-{tone}").props("role=status")
 
@@ -42,14 +46,19 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], numbers: Sequence[
 
 
 def show_curves(curves: Sequence[Curve], description: str, dark: bool) -> ui.echart:
-    """Show curves over time, one below the other, with a description as the alternative text."""
+    """Show curves over time, one below the other, in a chart of ECharts, and return it.
+
+    Args:
+        description: Text for users who cannot see the chart.
+        dark: Whether the display is dark.
+    """
     chart = ui.echart(curves_chart(curves, dark=dark)).classes("w-full")
     chart.style(f"height: {height_of(len(curves)) - _NO_ZOOM}px")
     return chart.props(f'role=img aria-label="{html.escape(description)}"')
 
 
 def redraw(chart: ui.echart, options: dict[str, Any]) -> None:
-    """Update a chart with new options."""
+    """Replace the options of a chart of ECharts and draw it again."""
     chart.options.clear()
     chart.options.update(options)
     chart.update()

@@ -38,7 +38,12 @@ class Progress:
     errors: list[tuple[float, float]] = field(default_factory=list)
 
     def update(self, record: dict[str, Any]) -> None:
-        """Take over the values of a progress record that a command has printed."""
+        """Take over the values of a progress record that a command has printed.
+
+        Args:
+            record: `doing`, `spent` and `budget` (s), or `done` and `total` work, and `error` (chi-squared
+                per sample); each may be missing. A changed error is appended to `errors`.
+        """
         self.doing = str(record.get("doing") or "")
         self.spent = record.get("spent", record.get("done"))
         self.total = record.get("budget", record.get("total"))

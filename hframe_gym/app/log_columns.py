@@ -207,8 +207,8 @@ def simulated_outputs(path: Path, machine: Machine) -> dict[str, Array]:
     """Simulate a machine over an imported run, as `hframe simulate` does.
 
     Returns:
-        Simulated measurements by output channel, m or rad, shape (n,); empty if the run is long or the motion
-        diverges.
+        Simulated measurements by output channel, in its unit, shape (n,); empty if the run has more than
+        200,000 rows, it cannot be simulated, or the motion diverges.
     """
     run = _run(path, path.stat().st_mtime_ns, _Recorded(machine))
     if len(run.time_s) > _MOST_SIMULATED:

@@ -54,7 +54,11 @@ class Stage(ABC):
 
     @abstractmethod
     def state(self) -> State:
-        """Return "done", "problem", or "" if the stage has not been done yet."""
+        """Return the state that marks the tab of the stage.
+
+        Returns:
+            "done" if its result exists, "problem" if this is faulty, "" if there is none yet.
+        """
 
     def commands(self) -> list[list[str]]:
         """Return the words after "hframe" of each command of the stage; none if it only shows something."""
@@ -65,18 +69,18 @@ class Stage(ABC):
         return None
 
     def opened(self) -> None:  # noqa: B027
-        """Update the stage when the user opens it; stages override this method."""
+        """Update the stage when the user opens it; this default does nothing."""
 
     def finished(self, job: Job) -> None:  # noqa: B027
-        """Update the stage when a job of it has ended; stages override this method."""
+        """Update the stage when a job of it has ended; this default does nothing."""
 
     @property
     def job(self) -> Job | None:
-        """The last job of this stage."""
+        """The last job of this stage; None if it has had none."""
         return self.page.jobs.get(self.key)
 
     def refresh(self) -> None:
-        """Build the stage anew."""
+        """Build the stage anew: title, purpose, and its content or what is missing."""
         self._code = self._output = self._button = self._stop = None
         self.container.clear()
         with self.container:
@@ -153,7 +157,7 @@ class Stage(ABC):
         ui.notify("Copied", timeout=1000)
 
     def run(self) -> None:
-        """Run the commands of this step of the work, unless those of a stage are running."""
+        """Run the commands of this stage as a new job, unless a job of any stage is running."""
         if self.page.jobs.running is not None:
             ui.notify("Another command is running; wait for it, or stop it", type="warning")
             return
@@ -166,7 +170,7 @@ class Stage(ABC):
         self.progressed(self.page.jobs[self.key])
 
     def stop(self) -> None:
-        """Stop the commands of this step of the work, if they run."""
+        """Stop the last job of this stage, if it runs."""
         if self.job is not None:
             self.job.stop()
             self.progressed(self.job)
@@ -250,7 +254,7 @@ class Page:
         return next((key for key, stage in self.stages.items() if stage.state() != "done"), "machine")
 
     def go(self, key: str) -> None:
-        """Show the stage with a key."""
+        """Open the stage of the work with this `Stage.key`."""
         self._bar.set_value(key)
 
     def changed(self) -> None:

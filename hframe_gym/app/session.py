@@ -71,7 +71,7 @@ class Session:
 
     @property
     def logs(self) -> list[Path]:
-        """Files of the logs."""
+        """Logs in the session's folder of logs, see `find_logs`; none if it is empty."""
         if not any(self.path(LOGS).iterdir()):
             return []
         return find_logs(self.path(LOGS))[0]
@@ -83,7 +83,10 @@ class Session:
 
     @property
     def corrected(self) -> str:
-        """File of the machine for controllers and exports, relative to the folder; corrected if it exists."""
+        """File of the machine for controllers and exports, relative to the session's folder.
+
+        It is the identified machine, or the declared one before an identification.
+        """
         return f"{RESULT}/{MACHINE}" if self.path(RESULT, MACHINE).exists() else MACHINE
 
     @property
@@ -186,7 +189,7 @@ def command_text(words: Sequence[str]) -> str:
 
 
 def new_machine_command(like: str, values: Mapping[str, str | bool | Sequence[str]]) -> list[str]:
-    """Return the words of the command that writes a session's machine from a template, or replaces it.
+    """Return the words after "hframe" of the command that writes a session's machine, or replaces it.
 
     Args:
         like: Name of the template.
@@ -206,7 +209,7 @@ def new_machine_command(like: str, values: Mapping[str, str | bool | Sequence[st
 
 
 def import_command(choices: ImportChoices) -> list[str]:
-    """Return the words of the command that imports the logs of a session."""
+    """Return the words after "hframe" of the command that imports the logs of a session."""
     words = ["import", LOGS, "--machine", MACHINE]
     for option, values in (
         ("--map", choices.columns),
@@ -228,7 +231,7 @@ def import_command(choices: ImportChoices) -> list[str]:
 
 
 def check_command() -> list[str]:
-    """Return the words of the command that checks the runs of a session."""
+    """Return the words after "hframe" of the command that checks the runs of a session."""
     return ["check", RUNS, "--machine", MACHINE, "--json", FINDINGS]
 
 

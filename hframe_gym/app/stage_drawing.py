@@ -23,8 +23,9 @@ def drawing_of(machine: Machine) -> dict[str, Any] | None:
     (a, b, c, d, e, f) of x = a + b X + c Y, y = d + e X + f Y for the tool at (X, Y), all in m.
 
     Returns:
-        Limits of the view, m, workspace, shapes (kind, role, points), and the point at which the tool is
-        drawn without a motion, m; None if the machine has no tool.
+        `view` and `workspace`: smallest and largest x and y, m. `shapes`: dicts of `kind` ("box", "line" or
+        "circle"), `role` (such as "belt") and `points`. `axes`: names of the tool's axes. `rest`: point at
+        which the tool is drawn without a motion, m. None if the machine has no tool.
     """
     if not machine.tool_axes:
         return None

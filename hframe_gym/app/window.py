@@ -36,7 +36,7 @@ class Window:
         self.jobs = Jobs()
 
     async def page(self) -> None:
-        """Build the page for one browser tab."""
+        """Build the page of the session for one browser tab: all stages of the work as tabs."""
         ui.add_css(style_sheet())
         ui.add_head_html('<meta name="color-scheme" content="light dark">')
         with ui.element("div").classes("hf-head"):

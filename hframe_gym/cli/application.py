@@ -49,7 +49,11 @@ class CommandGroup(TyperGroup):
 
     @override
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Find the command of a command line; without its name, the words name what to show."""
+        """Find the command that the first word names, as Typer does.
+
+        If the word is no command, not even a misspelled one, and the group has the command `show`, the usage
+        error proposes `hframe GROUP show WORD`.
+        """
         name, names = args[0], list(self.commands)
         if "show" in names and name not in names and name[:1] != "-" and not get_close_matches(name, names):
             ctx.fail(
@@ -106,6 +110,7 @@ class Application(typer.Typer):
     def command(
         self, name: str | None = None, *, cls: type[TyperCommand] | None = Command, **settings: Any
     ) -> Callable[[_Function], _Function]:
+        """Return a decorator that adds a command, as Typer's, of the class `Command` by default."""
         return super().command(name, cls=cls, **settings)
 
 

@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 
 
 def rig_folders(folder: Path) -> list[Path]:
-    """List the subfolders with recordings, one per rig; none if the folder itself contains recordings."""
+    """List the subfolders with recordings, one per rig; none if the folder itself contains recordings.
+
+    This distinguishes an identification of one rig from that of several.
+    """
     from ..recordings import recording_files
 
     if not folder.is_dir() or recording_files(folder):

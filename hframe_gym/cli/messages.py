@@ -39,7 +39,12 @@ def value_errors_as_input_errors() -> Iterator[None]:
 
 
 def describe_failure(error: Exception) -> tuple[int, str]:
-    """Convert an exception to an exit code (`INPUT_AT_FAULT` or `INTERNAL_ERROR`) and a one-line message."""
+    """Convert an exception to an exit code and a one-line message.
+
+    Returns:
+        The code is 2 (`INPUT_AT_FAULT`) if the user can correct the cause, such as an InputError, a missing
+        package, a full disk or a diverging simulation; else 1 (`INTERNAL_ERROR`).
+    """
     from ..dynamics import NotFiniteError
 
     usage = getattr(error, "format_message", None)  # of Typer's errors about options

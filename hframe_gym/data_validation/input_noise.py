@@ -15,7 +15,8 @@ from .findings import Finding, channel_unit
 def check_input_noise(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
     """Report, as advice, measured currents and torques that change from row to row like noise.
 
-    Voltages are not checked: they are usually commands, which may be random on purpose.
+    These are the `noisy_inputs` of a run, with a noise above 5 % of their root mean square. Voltages are not
+    checked: they are usually commands, which may be random on purpose.
     """
     findings = []
     for recording in recordings:

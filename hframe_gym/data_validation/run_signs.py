@@ -113,7 +113,12 @@ def check_signs_of_runs(runs: Sequence[PreparedRecording], machine: Machine) -> 
 def with_integrated_speeds(
     runs: Sequence[PreparedRecording], machine: Machine
 ) -> tuple[list[PreparedRecording], Machine]:
-    """Return runs with positions in the place of speeds, from 0 at the first measurement, and the machine."""
+    """Replace the sensors of speeds by sensors of positions, and their measurements by the integrals.
+
+    Returns:
+        Runs with positions only, m or rad, which begin with 0 at the first measured speed; and the machine
+        with encoders in place of its sensors, without effects.
+    """
     of_speed = np.array([sensor.of_velocity for sensor in machine.sensors], np.bool_)
     sensors = tuple(dataclasses.replace(s, kind="encoder") for s in machine.sensors if s.of_velocity)
     positions = []

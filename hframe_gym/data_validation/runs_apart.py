@@ -31,7 +31,10 @@ _AS_FAST = 0.5
 
 
 def check_rates(recordings: Sequence[Recording]) -> list[Finding]:
-    """Report, as advice, runs whose sampling rate differs from that of the others by the factor of a unit."""
+    """Report, as advice, runs whose times may be in another unit than those of the other runs.
+
+    Their sampling rate is more than 25 times, or less than 1/25, of the median of the others.
+    """
     periods = np.array([np.median(np.diff(r.time_s)) if len(r.time_s) > 1 else np.nan for r in recordings])
     findings = []
     for i, recording in enumerate(recordings):
@@ -50,8 +53,9 @@ def check_rates(recordings: Sequence[Recording]) -> list[Finding]:
 def check_travel_of_runs(data: Dataset, machine: Machine) -> list[Finding]:
     """Report, as faults, sensors whose travel in one run is in another unit than in the other runs.
 
-    The ratio of a sensor's travel to that which the other sensors measure is a constant of the machine. One
-    sensor is named for each run: that whose travel differs most from its travel in the other runs.
+    The ratio of a sensor's travel to that which the other sensors measure is a constant of the machine; in
+    such a run, it differs from that in the others by a factor of more than 1.5. One sensor is named for each
+    run: that whose travel differs most from its travel in the other runs.
 
     Args:
         data: Runs prepared for a fit.
@@ -78,7 +82,11 @@ def check_travel_of_runs(data: Dataset, machine: Machine) -> list[Finding]:
 
 
 def check_inputs_of_runs(data: Dataset, machine: Machine) -> list[Finding]:
-    """Report, as advice, runs that start at rest and move as fast as others with far smaller inputs."""
+    """Report, as advice, runs whose inputs are too small for their motion, as in another unit.
+
+    Relative to the rated ones, the largest input is less than 1/25 of the median of the other runs; the run
+    begins at rest, and a sensor moves more than half as fast as in the others.
+    """
     rated = np.array([drive.rated_voltage for drive in machine.drives])
     levels = np.array([np.max(np.abs(run.inputs) / rated) for run in data.runs])
     speeds = np.array([_speeds(run, machine) for run in data.runs])

@@ -209,7 +209,10 @@ def overlapping_clocks(recordings: Sequence[Recording]) -> list[Finding]:
 
 
 def slow_sensors(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
-    """Report sensors that measure less often than rows are logged, so that rows repeat their values."""
+    """Report, as advice, sensors that measure less often than rows are logged (`repetitions`).
+
+    Rows then repeat their values.
+    """
     findings = []
     for j, channel in enumerate(machine.output_channels):
         counts = {r.name: count for r in recordings if (count := repetitions(r.outputs[:, j])) > 1.0}

@@ -45,10 +45,17 @@ _POSITION_CORRELATION = 0.5  # largest correlation of its changes with the simul
 
 
 def check_scales(data: Dataset, machine: Machine) -> list[Finding]:
-    """Check for channels with a wrong unit or gear ratio, and for times in a wrong unit.
+    """Report channels with a wrong unit or gear ratio, or else times in a wrong unit.
 
     For units, measured speeds are compared with those of a simulation with the recorded voltages; for gear
-    ratios, encoders with other sensors; for times, fitted inertia and friction with the declared ones.
+    ratios, encoders with other sensors (`check_travel_ratios`); for times, fitted inertia and friction with
+    the declared ones (`check_time_unit`). If the times are suspect, nothing else is reported.
+
+    Returns:
+        Findings about all runs together. A speed that a unit explains, or that differs from the simulated one
+        by a factor of more than 8, is a fault if the other sensors contradict it by a factor of 4, or if none
+        measures the motion and inertia and friction need the same factor; otherwise it is advice, since the
+        machine file may be wrong.
     """
     balance = declared_balance(data, machine)
     clock = check_time_unit(data, balance)

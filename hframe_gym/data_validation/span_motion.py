@@ -67,7 +67,10 @@ class SpanMotion:
 
 
 def span_motion(data: Dataset, machine: Machine) -> SpanMotion:
-    """Simulate the runs over short time spans, for comparison with the measured motion."""
+    """Simulate the runs, and compare changes of measurements and simulation over short time spans.
+
+    A simulation begins at the workspace's center or a commanded position, with the recorded inputs.
+    """
     parts = []
     for i, run in enumerate(map(_first_rows, data.runs)):
         span = comparison_window(run.outputs, run.time_s, _WINDOW)

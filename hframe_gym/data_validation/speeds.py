@@ -32,8 +32,8 @@ _CORRELATION = 0.9  # below it, something else than a factor is wrong, or the mo
 def check_speeds(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
     """Report, as faults, sensors of signed speeds that measure a multiple of the rate of the positions.
 
-    Two speeds are swapped if neither is the rate of the positions at its sensor and both are after an
-    exchange.
+    The multiple is negative, or differs from 1 by a factor of more than 1.5. Two speeds are swapped if
+    neither is the rate of the positions at its sensor and both are after an exchange.
     """
     speeds = [j for j, sensor in enumerate(machine.sensors) if sensor.of_velocity]
     positions = machine.position_sensors

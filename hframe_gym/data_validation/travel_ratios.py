@@ -21,13 +21,18 @@ def check_travel_ratios(motion: SpanMotion, data: Dataset, machine: Machine) -> 
     """Report encoders that move too far or too little for the travel that other sensors measure.
 
     The reference are sensors with a fixed zero, elsewhere encoders compared with each other. Complete runs
-    are compared, because fast motion also stretches the belts. A small deviation is advice: a scale error of
-    the other sensors, which identification can find, has the same appearance.
+    are compared, because fast motion also stretches the belts. Only motions that correlate by more than 0.9
+    are compared.
 
     Args:
         motion: Measured and simulated motion of the runs, see `span_motion`.
         data: Runs prepared for a fit.
         machine: Machine as declared.
+
+    Returns:
+        Findings about all runs together: a fault for a ratio that differs from 1 by more than 50 %, advice
+        for more than 2 %, because a scale error of the other sensors, which identification can find, has the
+        same appearance.
     """
     kinds = [machine.coordinate(s.coordinate).kind for s in machine.sensors]
     compared = [j for j, s in enumerate(machine.sensors) if s.incremental or kinds[j] == "rotary"]

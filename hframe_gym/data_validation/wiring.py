@@ -107,6 +107,10 @@ def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
 
     The force of the drives is compared with the one that the motion requires, over all runs together. If this
     gives no fault, each single run is checked as well.
+
+    Returns:
+        A fault if exchanging two channels or one sign clearly explains more of the force (`explains_instead`)
+        and leaves little; advice if it leaves more, or if no such change explains the motion.
     """
     findings = _signs_and_swaps(data.runs, machine)
     if any(finding.severity == "fault" for finding in findings):
@@ -118,9 +122,11 @@ def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
 
 
 def declared_balance(data: Dataset, machine: Machine) -> Balance | None:
-    """Return the balance of forces for the wiring as declared, in the time window that it explains best.
+    """Fit the balance of forces for the channels as declared, see `force_balance`.
 
-    None without motion.
+    Returns:
+        The balance with that length of the averaging window that leaves the smallest fraction unexplained;
+        None without motion.
     """
     declared, _ = _explanations(data.runs, machine)
     return declared.balance if declared else None

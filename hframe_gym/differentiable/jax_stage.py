@@ -36,12 +36,14 @@ class JaxStage(Stage[Any]):
 
     @override
     def check_library(self) -> None:
+        """Raise an InputError unless JAX computes in float64 (`jax_enable_x64`)."""
         if not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
             raise InputError('JAX computes in float32; call jax.config.update("jax_enable_x64", True) before')
 
     @staticmethod
     @override
     def from_numpy(values: Array) -> Any:
+        """Convert `values`, of any shape, to an array of JAX."""
         return jnp.asarray(values)
 
     @override

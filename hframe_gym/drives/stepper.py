@@ -53,5 +53,5 @@ class StepperDrive(DriveKind):
     @classmethod
     @override
     def largest_jump(cls, gear_ratio: float, law_parameters: Mapping[str, float]) -> float:
-        """Return half a full step, for which the torque is 0.7 of the holding torque."""
+        """Return half a full step, m or rad of the coordinate, at which 0.7 of the holding torque acts."""
         return math.pi / 4.0 / (law_parameters["periods"] * gear_ratio)

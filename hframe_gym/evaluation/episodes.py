@@ -25,7 +25,7 @@ class Command(NamedTuple):
 
     @classmethod
     def of(cls, machine: Machine) -> Command:
-        """Return the commanded quantity of a machine's drives."""
+        """Return name and unit of what a machine's drives are commanded."""
         of_voltage = all(drive.command == "voltage" for drive in machine.drives)
         units = {machine.command_unit(drive) for drive in machine.drives}
         name = "voltage" if of_voltage else machine.commands_in_words.removesuffix("s")

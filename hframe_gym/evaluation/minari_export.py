@@ -52,11 +52,13 @@ class RandomActions(Controller):
 
     @override
     def reset(self, mask: Mask | None = None) -> None:
+        """Seed the random actions of all machines by the number of resets so far, whatever `mask` is."""
         self._episodes += 1
         self._generator = np.random.default_rng(self._episodes)
 
     @override
     def act(self, observation: KeyedObservation) -> Actions:
+        """Return independent actions that are uniform in [-1, 1]."""
         shape = len(observation["desired_goal"]), len(self.machine.drives)
         return self._generator.uniform(-1.0, 1.0, shape)
 

@@ -118,9 +118,11 @@ class PlayedStage:
         self._note(info)
 
     def step(self, action: Array) -> None:
-        """Simulate one control period with a controller, or with the user's `action`, shape (drives,).
+        """Simulate one control period with the stage's controller or, if it has none, with the user's action.
 
-        The action contains fractions of the rated voltages.
+        Args:
+            action: The user's voltages as fractions of the rated ones, shape (drives,), limited to [-1, 1]
+                here.
         """
         if self.controller:
             batch = {key: value[None] for key, value in self.observation.items()}

@@ -29,6 +29,7 @@ class TimedController(Controller):
 
     @override
     def act(self, observation: Mapping[str, NDArray[Any]]) -> Array:
+        """Return the actions of the measured controller, and add up its processor time in `cpu_s`."""
         start = time.process_time()
         actions = self.controller.act(observation)
         self.cpu_s += time.process_time() - start
@@ -37,4 +38,5 @@ class TimedController(Controller):
 
     @override
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
+        """Reset the measured controller; the time and number of its actions stay."""
         self.controller.reset(mask)

@@ -70,7 +70,7 @@ class Sometimes(Distribution):
 
     @override
     def quantile(self, u: Array) -> Array:
-        """Compute quantiles: the fraction u of all sampled numbers lies below the result.
+        """Compute quantiles, in their unit, shape (k,): the fraction `u` of all samples lies below.
 
         A constant of at most `low` is the smallest number, one of at least `high` the largest. With `signed`,
         the constant 0 lies between the negative and the positive numbers.

@@ -44,6 +44,7 @@ class CExporter(MachineExporter):
 
     @override
     def files(self, machine: Machine) -> Files:
+        """Write PREFIX.h, PREFIX.c and PREFIX_test.c."""
         prefix = check_prefix(self.prefix)
         motion = motion_formulas(machine, self.period)
         comment = c_comment(self.header(machine, *motion.statements()))

@@ -50,6 +50,12 @@ class FmuExporter(MachineExporter):
 
     @override
     def files(self, machine: Machine) -> Files:
+        """Write stage.fmu, an archive of the model's description and its C source.
+
+        Raises:
+            InputError: If the machine has a drive with a law, delays, eccentric pulleys, a rotary tool axis,
+                no sensor, or one that does not measure a position.
+        """
         refuse_drive_laws(machine, "an FMU")
         unsupported = [
             effect.label

@@ -48,6 +48,7 @@ class FrictionMapExporter(MachineExporter):
 
     @override
     def files(self, machine: Machine) -> Files:
+        """Write friction_map.csv."""
         header = self.header(
             machine,
             "Force or torque against the motion at constant speed, in the unit of the column "

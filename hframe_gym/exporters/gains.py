@@ -65,6 +65,11 @@ class GainsExporter(MachineExporter):
 
     @override
     def files(self, machine: Machine) -> Files:
+        """Write gains.csv and gains.json; warn if the textbook PID is unstable.
+
+        Raises:
+            InputError: If a tool axis is rotary, or a controller refuses the machine or the period.
+        """
         require_linear_axes(machine, "the table of gains")
         textbook, feedback = TextbookPID(machine, self.period), ModelBasedController(machine, self.period)
         concern = textbook.concern()

@@ -28,6 +28,11 @@ class KlipperExporter(InputShaperExporter):
 
     @override
     def files(self, machine: Machine) -> Files:
+        """Write input_shaper.cfg, a section of printer.cfg, and input_shaper.csv, impulses of all shapers.
+
+        Raises:
+            InputError: If the carriage does not vibrate along an axis.
+        """
         found = self.axis_modes(machine)
         header = self.header(machine, *self.notes(machine), *(mode.described for mode in found))
         lines = ["[input_shaper]"]

@@ -24,6 +24,11 @@ class MarlinExporter(InputShaperExporter):
 
     @override
     def files(self, machine: Machine) -> Files:
+        """Write input_shaping.gcode (M593 for each axis) and input_shaping.h (lines of Configuration_adv.h).
+
+        Raises:
+            InputError: If the carriage does not vibrate along an axis.
+        """
         found = self.axis_modes(machine)
         header = self.header(machine, *self.notes(machine), *(mode.described for mode in found))
         gcode = [f"M593 {mode.letter} F{mode.frequency:.2f} D{mode.damping:.4f}" for mode in found]

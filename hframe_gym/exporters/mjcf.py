@@ -37,6 +37,11 @@ class MjcfExporter(MachineExporter):
 
     @override
     def files(self, machine: Machine) -> Files:
+        """Write stage.xml, the model of MuJoCo.
+
+        Raises:
+            InputError: If the step is out of range, or `model_xml` cannot describe the machine.
+        """
         if not _STEP_LIMITS[0] <= self.step <= _STEP_LIMITS[1]:
             raise InputError(
                 f"--step {self.step:g}: must be from {_STEP_LIMITS[0]:g} s to {_STEP_LIMITS[1]:g} s"

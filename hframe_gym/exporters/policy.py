@@ -47,6 +47,7 @@ class PolicyExporter(Exporter):
 
     @override
     def write(self, out: str | Path, log: LineLog = lambda line: None) -> None:
+        """Write policy.pt, policy.json and, if the package onnx is installed, policy.onnx."""
         folder = output_folder(out)
         write_export(folder, self.files(log), log)
 

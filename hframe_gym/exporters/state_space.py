@@ -34,6 +34,7 @@ class StateSpaceExporter(MachineExporter):
 
     @override
     def files(self, machine: Machine) -> Files:
+        """Write the matrices as state_space.json, .mat and .csv, and the modes as modes.csv."""
         position = operating_point(machine, self.at)
         model = linear_model(machine, position)
         found = modes(model.A, machine.travel_per_unit, rest_positions_per_axis(machine))

@@ -39,7 +39,7 @@ class StructuredText(Language):
 
     @override
     def number(self, text: str) -> str:
-        """Write a number; a literal of Structured Text needs a decimal point."""
+        """Write a number; a literal of Structured Text needs a decimal point, such as "1.0E-3"."""
         mantissa, sign, exponent = text.partition("e")
         return (mantissa if "." in mantissa else f"{mantissa}.0") + sign.upper() + exponent
 
@@ -50,6 +50,11 @@ class StructuredText(Language):
 
     @override
     def operation(self, name: str, operands: Sequence[str]) -> str:
+        """Write an operation or function call as an expression without brackets around it.
+
+        Raises:
+            InputError: For `rint`, because Structured Text has no rounding to even.
+        """
         if name == "rint":
             raise InputError(
                 "Structured Text has no rounding to even, which a formula of this machine's effects uses"
@@ -58,7 +63,7 @@ class StructuredText(Language):
 
     @override
     def assignment(self, target: str, value: str, *, kind: str) -> str:
-        """Write an assignment; the names are declared before the body."""
+        """Write "target := value;" for any `kind`: the names are declared before the body."""
         return f"{target} := {value};"
 
 
@@ -78,6 +83,7 @@ class StructuredTextExporter(MachineExporter):
 
     @override
     def files(self, machine: Machine) -> Files:
+        """Write PREFIX.st."""
         prefix = check_prefix(self.prefix)
         motion = motion_formulas(machine, self.period)
         comment = (

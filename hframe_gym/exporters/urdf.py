@@ -29,6 +29,12 @@ class UrdfExporter(MachineExporter):
 
     @override
     def files(self, machine: Machine) -> Files:
+        """Write stage.urdf.
+
+        Raises:
+            InputError: If the machine has other coordinates than tool axes and pulleys, or an axis has no
+                range.
+        """
         axes = tool_coordinates(machine)
         unlimited = [c.name for c in axes if c.range is None]
         if unlimited:

@@ -51,10 +51,12 @@ class CheckStage(Stage):
 
     @override
     def missing(self) -> tuple[str, str] | None:
+        """Ask for the stage "logs" if the session has no runs."""
         return None if self.session.runs else ("logs", "There are no runs yet.")
 
     @override
     def state(self) -> State:
+        """Return "problem" if the last check has found a fault, "done" if it has not, "" without a check."""
         findings = self._findings()
         if findings is None:
             return ""
@@ -62,6 +64,7 @@ class CheckStage(Stage):
 
     @override
     def commands(self) -> list[list[str]]:
+        """Return the command that checks the runs."""
         return [check_command()]
 
     def _findings(self) -> list[Finding] | None:
@@ -73,6 +76,7 @@ class CheckStage(Stage):
 
     @override
     def show(self) -> None:
+        """Show the findings of the last check and the curves of one run."""
         self.command_box()
         self._wanted = []
         findings = self._findings()

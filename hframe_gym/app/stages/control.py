@@ -48,6 +48,7 @@ class ControlStage(Stage):
 
     @override
     def missing(self) -> tuple[str, str] | None:
+        """Ask for the stage "machine" if the session has no machine."""
         machine = self.session.machine
         if machine is None:
             return "machine", "There is no machine yet."
@@ -55,6 +56,7 @@ class ControlStage(Stage):
 
     @override
     def state(self) -> State:
+        """Return "done" if controllers were compared on the session's machine, else ""."""
         return "done" if self.session.path(self.session.control, "scores.json").exists() else ""
 
     @property
@@ -65,6 +67,7 @@ class ControlStage(Stage):
 
     @override
     def commands(self) -> list[list[str]]:
+        """Return the command that compares the chosen controllers."""
         command = evaluate_command(
             self._controllers,
             self.session.corrected,
@@ -78,6 +81,7 @@ class ControlStage(Stage):
 
     @override
     def show(self) -> None:
+        """Show the choices, the scores of the last comparison and the motion of an episode."""
         machine = load_machine(self.session.path(self.session.corrected))
         if len(machine.tool_axes) == 0:
             banner(

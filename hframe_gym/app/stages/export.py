@@ -36,10 +36,12 @@ class ExportStage(Stage):
 
     @override
     def missing(self) -> tuple[str, str] | None:
+        """Ask for the stage "machine" if the session has no machine."""
         return None if self.session.machine is not None else ("machine", "There is no machine yet.")
 
     @override
     def state(self) -> State:
+        """Return "done" if the session has exported files, else ""."""
         return "done" if self._files() else ""
 
     def _files(self) -> list[Path]:
@@ -57,6 +59,7 @@ class ExportStage(Stage):
 
     @override
     def show(self) -> None:
+        """Show the kinds of export with their options, and the exported files."""
         kinds = {name: f"{name}: {_summary(EXPORTERS.get(name))}" for name in EXPORTERS}
         kind = ui.select(kinds, value=self._kind, label="kind", on_change=lambda e: self._choose(e.value))
         kind.props("dense outlined options-dense data-kind").classes("w-full")

@@ -44,21 +44,25 @@ class IdentifyStage(Stage):
 
     @override
     def missing(self) -> tuple[str, str] | None:
+        """Ask for the stage "logs" if the session has fewer than two runs."""
         if len(self.session.runs) < 2:
             return "logs", "Identification needs at least two runs, because one is held out."
         return None
 
     @override
     def state(self) -> State:
+        """Return "done" if the session has the result of an identification, else ""."""
         return "done" if self.session.path(RESULT, "report.json").exists() else ""
 
     @override
     def commands(self) -> list[list[str]]:
+        """Return the commands that move earlier results aside and identify the machine."""
         aside = self.session.aside_command(RESULT, CONTROL, EXPORTS)
         return [*aside, identify_command(self._hold_out, self._budget, self._force)]
 
     @override
     def show(self) -> None:
+        """Show the choices, and the progress and error of the running or last search."""
         if self.page.stages["check"].state() == "problem":
             banner("warning", "Faults in the runs.", _CHECKED_FIRST)
         with ui.element("div").classes("hf-fields"):
@@ -93,11 +97,13 @@ class IdentifyStage(Stage):
 
     @override
     def progressed(self, job: Job) -> None:
+        """Show the output of the job, what its search does, and the error so far."""
         super().progressed(job)
         self._show_live()
 
     @override
     def finished(self, job: Job) -> None:
+        """Point to the results if the job has ended without error and was not stopped."""
         if self.state() == "done" and not job.stopped and job.exit_code == 0:
             ui.notify("Identified; see Results", type="positive")
 

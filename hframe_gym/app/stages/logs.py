@@ -67,16 +67,19 @@ class LogsStage(Stage):
 
     @override
     def missing(self) -> tuple[str, str] | None:
+        """Ask for the stage "machine" if the session has no machine."""
         if self.session.machine is None:
             return "machine", "Logs are read for a machine: its channels say what the columns can be."
         return None
 
     @override
     def state(self) -> State:
+        """Return "done" if the session has runs, else ""."""
         return "done" if self.session.runs else ""
 
     @override
     def commands(self) -> list[list[str]]:
+        """Return the commands that move earlier runs and results aside and import the logs."""
         aside = self.session.aside_command(RUNS, FINDINGS, RESULT, CONTROL, EXPORTS)
         chosen = dataclasses.replace(
             self._choices,
@@ -88,6 +91,7 @@ class LogsStage(Stage):
 
     @override
     def show(self) -> None:
+        """Show the logs, the columns of one of them with what they are taken for, and how they are cut."""
         upload = ui.upload(
             label="Drop logs here, or choose them with +",
             multiple=True,

@@ -48,6 +48,7 @@ class MachineStage(Stage):
 
     @override
     def state(self) -> State:
+        """Return "done" if the session has a machine, "problem" if its file is faulty, else ""."""
         try:
             return "done" if self.session.machine is not None else ""
         except InputError:
@@ -55,10 +56,12 @@ class MachineStage(Stage):
 
     @override
     def commands(self) -> list[list[str]]:
+        """Return the commands that move what belongs to the machine aside and write a new one."""
         return [*self.session.aside_command(*_OF_MACHINE), new_machine_command(self._like, self._values)]
 
     @override
     def show(self) -> None:
+        """Show the questions about a new machine, and the present one with what it can do."""
         try:
             machine = self.session.machine
         except InputError as error:

@@ -34,18 +34,22 @@ class ResultsStage(Stage):
 
     @override
     def missing(self) -> tuple[str, str] | None:
+        """Ask for the stage "identify" if there is no result yet."""
         return None if self.state() else ("identify", "There is no result yet.")
 
     @override
     def state(self) -> State:
+        """Return "done" if the session has the result of an identification, else ""."""
         return "done" if self.session.path(RESULT, "report.json").exists() else ""
 
     @override
     def commands(self) -> list[list[str]]:
+        """Return the command that builds the report of the result again."""
         return [["report", RESULT]]
 
     @override
     def show(self) -> None:
+        """Show the report of the identification, or the verdict if it was not built, and the next steps."""
         report = read_report(self.session.path(RESULT))
         corrected = load_machine(self.session.path(RESULT, MACHINE))
         page = self.session.path(RESULT, "report.html")

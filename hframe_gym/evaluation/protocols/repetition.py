@@ -41,13 +41,18 @@ def compare_draws(result: ResultFile, draws: Mapping[str, Draws]) -> Comparison:
     draw that ends near the edge of a band may be inside on one processor and outside on another. On another
     processor, `apg_plan` differed by more than the tolerances in 2 of 512 draws of reach-v1, and
     `adaptive-pid` in 53 of 512 of hard-v1; the differences had both signs, and means changed by at most 0.8
-    %. A file is therefore reproduced if two conditions hold: few draws differ by more than the tolerances,
-    and the sum of a metric's differences is no larger than it would be with random signs. Edited draws, in
-    contrast, are all better, so that more than a handful are detected.
+    %. A file is therefore reproduced if, for each metric, at most 12 % of the draws differ by more than two
+    samples of 1 ms or 1 um + 1 % of the error, and the sum of the differences is at most twice what random
+    signs would give, plus 0.2 % of the sum of the values. Edited draws, in contrast, are all better, so that
+    more than a handful are detected.
 
     Args:
         result: Content of the result file.
         draws: Values of the repeated run by part and by metric, as `run_protocol` returns them.
+
+    Returns:
+        Number of compared values, number of equal ones, the largest difference in words, and whether the file
+        is reproduced.
     """
     protocol = get_protocol(result.protocol)
     count = equal = 0

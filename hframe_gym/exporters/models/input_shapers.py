@@ -57,7 +57,7 @@ class AxisMode(NamedTuple):
 
     @property
     def described(self) -> str:
-        """Frequency and damping with their standard deviations, as one line."""
+        """One line such as "x: 41.20 Hz, damping ratio 0.0510", each with its standard deviation if known."""
         parts = f"{self.frequency:.2f} Hz", f"damping ratio {self.damping:.4f}"
         stds = self.frequency_std, self.damping_std
         return f"{self.axis}: " + ", ".join(

@@ -27,14 +27,17 @@ class C99(Language):
 
     @override
     def number(self, text: str) -> str:
+        """Return the text itself: C writes numbers as Python does."""
         return text
 
     @override
     def choice(self, condition: str, yes: str, no: str) -> str:
+        """Write "condition ? yes : no"."""
         return f"{condition} ? {yes} : {no}"
 
     @override
     def assignment(self, target: str, value: str, *, kind: str) -> str:
+        """Write "target = value;", after "const double" for a number or "const int" for a condition."""
         declared = {"number": "const double ", "condition": "const int ", "output": ""}[kind]
         return f"{declared}{target} = {value};"
 

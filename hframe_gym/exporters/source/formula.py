@@ -60,7 +60,7 @@ class Signal:
     comment: str
 
     def elements(self) -> list[str]:
-        """Return each entry as source text, such as "velocity[0]"; arrays count from 0 in both languages."""
+        """Return each entry as source text, "velocity[0]" of an array, which counts from 0 in C and in ST."""
         return [f"{self.name}[{i}]" for i in range(self.size)] if self.size else [self.name]
 
 

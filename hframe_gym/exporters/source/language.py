@@ -39,19 +39,25 @@ class Language(ABC):
 
     @abstractmethod
     def number(self, text: str) -> str:
-        """Write a number, given as text in Python's notation."""
+        """Write a number of the language, such as "1.0E-3".
+
+        Args:
+            text: The number in Python's notation, "1e-3".
+        """
 
     @abstractmethod
     def choice(self, condition: str, yes: str, no: str) -> str:
-        """Write a choice between two values; condition and values are atoms or in brackets."""
+        """Write an expression that is `yes` where the condition holds, else `no`.
+
+        All three are source texts of the language: a name, number or call, or an expression in brackets.
+        """
 
     def operation(self, name: str, operands: Sequence[str]) -> str:
-        """Write an operation or function call.
-
-        The operands are atoms or in brackets, the result has no brackets.
+        """Write an operation or function call as an expression without brackets around it.
 
         Args:
             name: Operator such as "+" or name of a function in `dynamics.elementwise`.
+            operands: Source texts: a name, number or call, or an expression in brackets.
         """
         if name == "neg":
             return f"-{operands[0]}"
