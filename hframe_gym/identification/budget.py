@@ -71,9 +71,12 @@ class StageEnds(NamedTuple):
 def stage_ends(machine: Machine, *, in_part: bool = False) -> StageEnds:
     """Return when each stage of an identification must end, so that the later stages have time.
 
+    The last stage ends at 0.9 of the budget. From there backward, 0.15 is kept for each of a description of
+    the remaining error (machines without belts only, of which a search that ends early rarely names the
+    cause), a fit to all rows (`in_part`) and the tests of what a search found.
+
     Args:
-        machine: Machine to identify. Without belts, time is kept for a description by tables, because a
-            search that ends early rarely names the cause there.
+        machine: Machine to identify.
         in_part: Whether the search uses only some of the rows, so that a fit to all rows follows.
 
     Returns:

@@ -93,11 +93,12 @@ def may_be_local_minimum(
 
 
 def least_structural_promise(useful: float, enough: float, criteria: SelectionCriteria) -> float:
-    """Return the promise, per measured value, dimensionless, from which on a structural effect is fitted.
+    """Return the promise from which on an effect that replaces a part of the model is fitted.
 
-    It is the larger of the required reduction and 10 % (`min_structural_promise`) of the best other trial's;
-    0, so that all are fitted, if no other trial reaches the required reduction, because a linearization
-    underestimates the gain of structures.
+    A promise is here the linearized reduction of chi-squared per sample, dimensionless. The result is the
+    larger of the required reduction and 10 % (`min_structural_promise`) of the best other trial's; 0, so that
+    all are fitted, if no other trial reaches the required reduction, because a linearization underestimates
+    the gain of such effects.
 
     Args:
         useful: Largest reduction of chi-squared per sample by a trial with another effect, dimensionless.
@@ -128,7 +129,7 @@ class StructureEvidence:
 
 
 def is_worth_structures(evidence: StructureEvidence, criteria: SelectionCriteria) -> bool:
-    """Return whether to try structural effects: they replace a part of the model and must be compiled first.
+    """Return whether to try effects that replace a part of the model, which must be compiled first.
 
     They are not tried if they were tried in vain with the same observer and the excess has not fallen to 0.67
     (`structural_retry`) of its value then. Otherwise they are tried if the best other trial adds a force with

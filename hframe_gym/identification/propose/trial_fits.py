@@ -102,15 +102,19 @@ def trial_fits(
 ) -> list[Fit]:
     """Fit the machine with each of the most promising effects, one at a time.
 
-    A linearized model ranks the candidates by the reduction of chi-squared; the best few are fitted. If a
-    parameter of the machine is at its limit, or no candidate is promising although much error is left, the
-    fit without candidates may be in a local minimum. The candidates are then also ranked at the declared
-    parameters and fitted from there.
+    A linearized model ranks the candidates by the reduction of chi-squared; at most six effects at their
+    sites (`max_full_fits`) are fitted, which promise enough of the required gain, of the best one's, and of
+    the force that remains. Once one explains the data (`judge.trial.explains_alone`), only its possible
+    rivals are fitted as well. If a parameter of the machine is at its limit, or no candidate is promising
+    although chi-squared per sample is above 1.5 (`judge.trial.may_be_local_minimum`), the candidates are also
+    ranked at the declared parameters and fitted from there.
 
     Args:
         current: Fit without candidates; the trials have its observer bandwidth.
+        data: Runs that are fitted.
         enough: Reduction of chi-squared per sample that the search requires, dimensionless. Candidates with a
             linearized reduction below 60 % of it (`criteria.linear_gain_ratio`) are not fitted.
+        criteria: Decision thresholds of the rules of `judge.trial`.
         screened: The fit with its candidates, if it is known already.
 
     Returns:

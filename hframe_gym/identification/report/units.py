@@ -23,9 +23,9 @@ def readable_unit(channel: str, largest: float) -> tuple[float, str]:
 
 
 def percent(fraction: float) -> str:
-    """Format a fraction in percent, without the sign, such as "12.3" for 0.123.
+    """Format a fraction in percent to three digits, without the sign: "12.3" for 0.123.
 
-    Fractions above 0.9995, which would round to 100, are "more than 99.9".
+    A fraction above 0.9995, which would round to 100, is "more than 99.9".
 
     Args:
         fraction: The fraction, dimensionless.

@@ -162,10 +162,11 @@ class EffectSearch:
     def run(self, current: Fit, selected: tuple[SelectedEffect, ...] = ()) -> Selection:
         """Add effects one by one while one reduces the error enough and passes all tests.
 
-        Effects that fail one of the tests (`significance`) are added to `considered`. After each selected
-        effect, the bandwidth of the observer that corrects predictions by the measurements is chosen anew
-        (maximum likelihood), and earlier effects may be replaced by others that now explain more. If no
-        effect passes, the best one that failed is tried together with a second one, because each of two
+        The least reduction is `judge.effect.enough_gain`; the tests are those of
+        `judge.effect.doubt_about_candidate`. Effects that fail one of them are added to `considered`. After
+        each selected effect, the bandwidth of the observer that corrects predictions by the measurements is
+        chosen anew (maximum likelihood), and earlier effects may be replaced by others that now explain more.
+        If no effect passes, the best one that failed is tried together with a second one, because each of two
         missing effects can hide the other. The search ends at `max_effects` effects or when only noise of
         known size is left (`min_gain`).
 
@@ -179,6 +180,7 @@ class EffectSearch:
         Raises:
             VoltagesChangeError: If the machine with a selected effect shows that the voltages change more or
                 less often between the rows than the predictions assume.
+            BudgetEndedError: If the time for the search is used up; `reached` then has what was selected.
         """
         criteria = self._criteria
         current, self.data = with_probable_starts(current, self.data, criteria)
@@ -629,9 +631,9 @@ class EffectSearch:
     def prune(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
         """Remove effects that later effects have made superfluous; `considered` lists them.
 
-        Each effect is tested beside all other selected effects, the one with the smallest gain first. It is
-        kept if it clearly reduces the error and passes all tests of `significance`, or if another effect
-        requires it or acts on a coordinate that it adds. After a removal, the others are tested again.
+        Each effect is tested beside all other selected effects (`judge.effect.doubt_beside_others`), the one
+        with the smallest gain first. It is kept if nothing speaks against it, or if another effect requires
+        it or acts on a coordinate that it adds. After a removal, the others are tested again.
 
         Args:
             current: Fit of the machine with all selected effects; its observer bandwidth is used throughout.

@@ -181,7 +181,10 @@ class IdentificationResult:
 
     @property
     def divergence_warnings(self) -> tuple[str, ...]:
-        """Warnings about machines whose simulation diverges on a held-out run, one sentence each."""
+        """Warnings about the declared, refitted or delivered machine if it diverges on a held-out run.
+
+        They are one sentence for each such machine, which names the runs.
+        """
         models = (("declared", self.declared), ("refitted", self.before), ("corrected", self.after))
         why = (
             "less than the recorded voltage acts (amplifier limit, emergency stop, "
