@@ -61,8 +61,10 @@ class _Part(NamedTuple):
 def cost_beside_voltages(fitted: Fit, data: Dataset) -> float:
     """Return the cost that remains after unknown voltages between rows explain what they can.
 
-    The amounts of all changes that these voltages may have (see the module) and the parameters of the fit are
-    chosen together, to first order, so that the cost plus the penalty of the parameters' prior is smallest.
+    These may have been otherwise in three ways: with one more change per row, along straight lines or splines
+    between the rows, and as answers of the controller to the motion that interpolated rows miss. The change
+    of the predictions by each, multiplied by an unknown amount, and the parameters of the fit are chosen
+    together, to first order, so that the cost plus the penalty of the parameters' prior is smallest.
 
     Args:
         fitted: Fit around whose parameters the predictions are linearized.

@@ -81,9 +81,9 @@ def with_uncertainty(
 
     Derivatives are central differences along the principal axes of the Fisher information: along single
     parameters, rounding would make viscous friction and back-EMF seem separable. A threshold
-    (`FreeParameter.switch`) has no derivative. It is raised and lowered until the cost clearly rises; its
-    standard deviation is at least this change. A fit by instrumental variables contains its covariance
-    already.
+    (`FreeParameter.switch`) has no derivative. It is raised and lowered until the cost rises by more than 1, or
+    by chi-squared per sample where that exceeds 1; its standard deviation is at least this change. A fit by
+    instrumental variables contains its covariance already.
 
     Args:
         fitted: Fit of k parameters: machine, parameter values and cost.

@@ -627,12 +627,13 @@ def better_start(machine: Machine, data: Dataset, plain: PlainFit | None) -> Mac
 
     A refit keeps each parameter within a range around the start. The plain values are used if three
     conditions hold: one of them lies outside the range around the declared values, the refit from the
-    declared values ends at a limit, and the refit from the plain values predicts or simulates the runs
-    clearly better. Without a sensor that shows a direction, only the last condition counts, because a refit
-    may end at another minimum.
+    declared values ends at a limit, and the refit from the plain values is better by
+    `judge.error.is_better_start`. Without a sensor that shows a direction, only the last condition counts,
+    because a refit may end at another minimum.
 
     Args:
         machine: Machine as declared.
+        data: Runs to fit.
         plain: Plain fit to these runs, if there is one.
 
     Returns:

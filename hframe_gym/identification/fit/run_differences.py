@@ -206,12 +206,13 @@ def describe_run_differences(
     Args:
         fitted: Machine from whose parameters the fits start, fitted to all runs or to those that agree.
         data: All runs (times, voltages, measurements, SI).
-        criteria: Decision thresholds for what explains the data.
+        criteria: Decision thresholds of `judge.run.explains_by_run`.
 
     Returns:
-        One sentence, about the first of these that exists: a quantity that differs between the runs; a
-        quantity with the same other value, beyond its limits, in all runs; a quantity that a single run needs
-        at another value, if this explains nearly all of the error. Otherwise nothing.
+        One sentence, about the first of these that exists: a quantity that explains the runs and differs
+        between them; one that explains the runs with the same other value, beyond its limits, in all; a
+        quantity of which a single run needs another value, if one value for all leaves more than ten times
+        the error (`judge.run.run_that_differs_alone`). Otherwise no sentence, as with fewer than three runs.
     """
     found = _compared(fitted, data, criteria)
     explaining = [each for each in found if each.explains]

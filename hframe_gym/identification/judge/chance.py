@@ -33,8 +33,9 @@ class LongRunVariance:
 def chance_gain(variance: LongRunVariance, criteria: SelectionCriteria) -> float:
     """Return the largest reduction of the cost, dimensionless, that an effect which does not exist may cause.
 
-    Reduction / (`variance.ratio` x number of parameters) has an F distribution; the result is exceeded with
-    the probability `criteria.chance` (by default 1e-6).
+    Reduction / (`variance.ratio` x number of parameters) has an F distribution with the degrees of freedom
+    `variance.parameters` and `variance.blocks`; the result is exceeded with the probability `criteria.chance`
+    (by default 1e-6).
 
     Args:
         variance: Variance of the residual in the direction of the effect.

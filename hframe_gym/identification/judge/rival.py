@@ -68,11 +68,11 @@ def may_be_the_cause(evidence: TrialEvidence, criteria: SelectionCriteria) -> bo
     It may in three cases:
 
     - It reduces the cost by more than 97 % (`rival_gain_fraction`) of what the selected one does.
-    - It reduces it by more than half of that, the selected one nearly explains the data, and chance may cause
-      the difference (`chance_gain`).
-    - It reduces it by more than half of that, the selected one does not nearly explain the data, and its
-      excess is below 1.2 times (`AS_GOOD`) that of the selected one. Both are compared again when the missing
-      effects are found.
+    - It reduces it by more than half of that, chi-squared per sample with the selected one is below 1.5
+      (`explained_chi2`), and chance may cause the difference (`chance_gain`).
+    - It reduces it by more than half of that, chi-squared per sample with the selected one is at least 1.5,
+      and its excess is below 1.2 times (`AS_GOOD`) that of the selected one. Both are compared again when the
+      missing effects are found.
 
     Args:
         evidence: Errors without and with each of the two effects.

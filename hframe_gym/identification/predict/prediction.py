@@ -140,13 +140,16 @@ def innovation_variance(machine: Machine, data: Dataset, bandwidth: float) -> tu
 
 
 def sensor_innovation_variance(machine: Machine, period: float, bandwidth: float) -> Array:
-    """Return the expected innovation variance / noise variance of each sensor, shape (sensors,).
+    """Return the expected innovation variance / noise variance of each sensor for an exact machine.
 
-    It holds for an exact machine.
+    It is 1 / (1 - K) with the position gain K of the observer, at most 0.9.
 
     Args:
         period: Sampling period, s.
         bandwidth: Bandwidth of the observer, rad/s.
+
+    Returns:
+        Ratios, dimensionless, shape (sensors,).
     """
     # Position gain K of a critically damped observer: twice the bandwidth times the sampling period.
     gains = 2.0 * _observer_rates(machine, period, bandwidth)

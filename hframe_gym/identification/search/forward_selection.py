@@ -217,8 +217,8 @@ class EffectSearch:
         """Add the effects of an earlier search to a machine, except those that do not pass the tests here.
 
         The earlier search assumed other voltages between the rows. Each effect must again reduce the error by
-        enough, beside the others, and pass the tests of a candidate. Another effect that explains more
-        replaces it.
+        `judge.effect.enough_gain`, beside the others, and pass `judge.effect.doubt_about_candidate`. Another
+        effect that explains more replaces it.
 
         Args:
             current: Fit of the machine without these effects.
@@ -533,8 +533,8 @@ class EffectSearch:
         The trial fits of the search show rivals only among the few best candidates of one step. Here all
         candidates are compared with the effect, to first order, in the machine with all other effects;
         `settle_rivals` then fits those that may replace it. An effect may replace it if chi-squared increases
-        by no more than twice what chance causes; the factor allows for the first-order comparison. Effects
-        that differ from it only by unknown voltages are always added.
+        by no more than twice what chance causes (`judge.rival.largest_resembling_loss`). For a delay or lag
+        in a log slower than its controller, the others are always added (`hidden_rivals`).
 
         Args:
             current: Fit of the machine with all selected effects.
@@ -563,9 +563,10 @@ class EffectSearch:
         """Compare each selected effect with its rivals again, in a machine with all other selected effects.
 
         Rivals of an effect explained the data about equally well when it was selected, while effects were
-        missing and an observer hid differences. Each rival now takes its place. If chance does not explain
-        the difference, the most likely rival replaces the effect, and the comparison starts again; rivals
-        that are clearly less likely are dropped. `rivals_in_combination` adds possible rivals.
+        missing and an observer hid differences. Each rival is now fitted in its place (`compare_rivals`). If
+        chance does not explain the difference in likelihood, the most likely rival replaces the effect, and
+        the comparison starts again; rivals that are less likely by more than chance are dropped.
+        `rivals_in_combination` adds possible rivals.
 
         Args:
             current: Fit of the machine with all selected effects.
