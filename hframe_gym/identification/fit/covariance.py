@@ -81,9 +81,9 @@ def with_uncertainty(
 
     Derivatives are central differences along the principal axes of the Fisher information: along single
     parameters, rounding would make viscous friction and back-EMF seem separable. A threshold
-    (`FreeParameter.switch`) has no derivative. It is raised and lowered until the cost rises by more than 1, or
-    by chi-squared per sample where that exceeds 1; its standard deviation is at least this change. A fit by
-    instrumental variables contains its covariance already.
+    (`FreeParameter.switch`) has no derivative. It is raised and lowered until the cost rises by more than 1,
+    or by chi-squared per sample where that exceeds 1; its standard deviation is at least this change. A fit
+    by instrumental variables contains its covariance already.
 
     Args:
         fitted: Fit of k parameters: machine, parameter values and cost.
@@ -208,8 +208,8 @@ def principal_directions(information: Array, prior: Array) -> Array:
         prior: Precision (inverse covariance) of the prior of theta, dimensionless, shape (k, k).
 
     Returns:
-        Directions, dimensionless, one per column, shape (k, k). One that changes a theta too much for a
-        linear residual is shortened.
+        Directions, dimensionless, one per column, shape (k, k). One with an element above 0.01 in magnitude
+        is shortened to 0.01, within which the residual is linear.
     """
     root = np.linalg.cholesky(np.linalg.inv(prior))
     eigenvalues, axes = np.linalg.eigh(root.T @ information @ root)

@@ -83,7 +83,7 @@ class VerdictEvidence:
 
     @property
     def in_words(self) -> str:
-        """The simulation error that is left on the held-out runs, as a clause for the report."""
+        """The simulation error left on the held-out runs, or that it diverges, as a clause for the report."""
         force = (
             f" and {100 * self.lacking:.2g} % of the drives' force are"
             if 0.0 < self.lacking < math.inf  # 0: less than the noise of the sensors shows

@@ -340,7 +340,7 @@ def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[
     coordinates between which forces act. If all torque constants, masses, friction forces and stiffnesses of
     a group are multiplied by the same factor, the same voltages cause the same motion. Recordings without a
     sensor of forces in the group therefore do not determine this factor; the torque constant of its first
-    drive sets it. The axes of a table are two groups.
+    drive sets it. The axes of an XY table are two groups.
 
     Friction that is declared as zero may become positive. Back-EMF acts like viscous friction, so the data
     determine only their sum. Both are free, because this sum may be smaller than the declared back-EMF alone.

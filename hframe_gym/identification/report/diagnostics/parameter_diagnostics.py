@@ -64,8 +64,8 @@ def with_structure_of(machine: Machine, declared: Machine) -> Machine:
 def undeclared_friction(machine: Machine, declared: Machine) -> tuple[UndeclaredFriction, ...]:
     """Find friction that is declared as zero and clearly is not.
 
-    It must exceed four standard deviations of its prior, which is centered on zero, and four of its own
-    estimate.
+    It must exceed four standard deviations of its prior, which is centered on zero, and four of its fitted
+    value.
 
     Args:
         machine: Fitted machine, with its uncertainty if that is known.

@@ -53,8 +53,8 @@ class UnequalBelts:
 def unequal_belts(machine: Machine, declared: Machine, stds: float) -> tuple[UnequalBelts, ...]:
     """Find belt sections that are declared with the same EA and clearly differ in their fitted stiffness.
 
-    Sections are compared if forces act between their coordinates: between others, as those of the two axes of
-    a table, the ratio is that of the declared torque constants. A section is left out if its EA was not
+    Sections are compared if forces act between their coordinates: between others, as on the two axes of an XY
+    table, the ratio is that of the declared torque constants. A section is left out if its EA was not
     fitted, if one of its parameters is at the limit of the fit, or if an effect acts at it alone, because its
     stiffness then depends on more than EA. A difference that no sensor of the machine could show is not told
     either: where the motors are held and the drives' full force acts on the tool, it moves the tool by less
