@@ -26,7 +26,7 @@ EFFECT = Effect(
     formula="i' = (V - min(|V|/U, 1) Ke N w)/R",
     source="bridges that are switched off between the pulses",
     current=current,
-    signal_order=-3,  # first: of the current by Ohm's law
+    signal_order=-4,  # first: of the current by Ohm's law
     fits_site=fits_site,
     parameters=(EffectParameter("U", "voltage", 1e-3, 1e4, scale=0.1, grid=(0.5, 0.7, 1.0, 1.4, 2.0)),),
 )

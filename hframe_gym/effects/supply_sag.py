@@ -37,7 +37,7 @@ EFFECT = Effect(
     source="source with inner resistance and a capacitor behind it",
     current=current,
     next_state=next_state,
-    signal_order=-2,  # first of the effects on a current, which it changes through the voltage
+    signal_order=-3,  # before the other effects on a current, which it changes through the voltage
     fits_site=fits_site,
     parameters=(
         EffectParameter("g", "1/W", 0.0, 1e3, scale=0.1, role="amplitude"),

@@ -170,6 +170,12 @@ _CASES = (
     Case("dead_band", "motor1", {"Vd": 0.4, "drop": 1.0}, {"dead_band_V": (0.4, 0.0)}),
     Case("voltage_limit", "motor1", {"U": 4.0}, {"voltage_limit_V": (4.0, np.inf)}),
     Case("coasting_bridge", "motor1", {"U": 12.0}, {"coasting_V": (12.0, 0.0)}),
+    Case(
+        "inverter_dead_time",
+        "motor1",
+        {"Vd": 0.4, "i0": 0.1},
+        {"dead_time_V": (0.4, 0.0), "dead_time_A": (0.1, 0.2)},
+    ),
     Case("current_limit", "motor1", {"I": 4.5}, {"current_limit_A": (4.5, np.inf)}),
     Case("torque_saturation", "motor1", {"s": 0.01}, {"torque_saturation_A": (10.0, np.inf)}),
     Case(

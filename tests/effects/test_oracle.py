@@ -66,6 +66,10 @@ SHARED_BY_BOTH_DRIVES = {
     "voltage_limit": ({"U": 4.0}, {"voltage_limit_V": (4.0, 4.0)}),
     "coasting_bridge": ({"U": 12.0}, {"coasting_V": (12.0, 12.0)}),
     "current_limit": ({"I": 4.5}, {"current_limit_A": (4.5, 4.5)}),
+    "inverter_dead_time": (
+        {"Vd": 0.4, "i0": 0.1},
+        {"dead_time_V": (0.4, 0.4), "dead_time_A": (0.1, 0.1)},
+    ),
 }
 
 

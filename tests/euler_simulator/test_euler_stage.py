@@ -31,7 +31,7 @@ MORE = {
 LACKING = (
     *("idler_inertia", "frame_resonance", "dwell_friction", "torque_saturation"),
     *("commutation_ripple", "gear_backlash", "winding_heat", "supply_sag", "payload_swing"),
-    *("belt_mesh", "eddy_brake", "coasting_bridge"),
+    *("belt_mesh", "eddy_brake", "coasting_bridge", "inverter_dead_time"),
 )
 ONE_OF_EACH = {n: dataclasses.replace(Rig(), **c.rig) for n, c in CASES.items() if c.rig and n not in LACKING}
 

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from tests.reference_simulator import Rig, simulate
 
@@ -160,6 +161,13 @@ MOTOR = {
         None,
     ),
     "dead band": ({"dead_band_V": (0.5, 0.0)}, lambda t, a, w, z: (5.5 - EMF * w) / OHM, None),
+    "dead time": (
+        {"dead_time_V": (0.5, 0.0), "dead_time_A": (2.0, 0.2)},  # the current falls from 8 A to 1.4 A
+        lambda t, a, w, z: brentq(
+            lambda i: 6.0 - EMF * w - OHM * i - 0.5 * min(max(i / 2.0, -1.0), 1.0), -20.0, 20.0, xtol=1e-14
+        ),
+        None,
+    ),
     "limit": ({"current_limit_A": (4.0, 9.0)}, lambda t, a, w, z: min((6.0 - EMF * w) / OHM, 4.0), None),
     "lag": (
         {"electrical_lag_s": (2e-3, 0.0)},
@@ -201,7 +209,7 @@ def test_drive(name):
         return [z[1], (PER_AMP * amps - BM * z[1] - friction) / J, state(z[1], z[2], amps) if state else 0.0]
 
     expected = _solve(rhs, [0.0, 0.0, 0.0], time_s)
-    kink = 1e-6 if name in ("limit", "lag") else 1e-8  # SciPy steps over the kink
+    kink = 1e-6 if name in ("limit", "lag", "dead time") else 1e-8  # SciPy steps over the kink
     assert np.abs(q[:, 2] - expected[0]).max() < kink
     assert expected[0, -1] > 5.0
     assert np.all(q[:, 3] == 0.0)

@@ -131,6 +131,7 @@ SITES: dict[str, tuple[str, ...]] = {
     "lugre": ("x",),
     "voltage_limit": ("motor1",),
     "coasting_bridge": ("motor2",),
+    "inverter_dead_time": ("motor1",),
     "gear_backlash": ("motor1",),
 }
 PAIRS = (

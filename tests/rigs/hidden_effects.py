@@ -265,6 +265,9 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
         case "coasting_bridge":
             volts = MAX_VOLTAGE_V / size
             return _hidden(name, site, partial(motor, coasting_V=volts), {"U": volts})
+        case "inverter_dead_time":
+            volts = size * 0.4
+            return _hidden(name, site, partial(motor, dead_time_V=volts), {"Vd": volts})
         case "commutation_ripple":
             ripple, order = 0.15 * size, 4 * 5.9
             build = partial(motor, current_ripple=ripple, current_ripple_order=order)

@@ -421,6 +421,7 @@ IN_LIBRARY = frozenset(
         "scale interpolation",
         "eccentric encoder",
         "commutation ripple",
+        "dead time",
         "eddy brake",
     }
 )
