@@ -93,7 +93,8 @@ class TransferBank:
             goal: Tool positions of the goals, m, shape (batch, axes).
 
         Returns:
-            K laws per observation, in units of the rated voltages.
+            Voltages of the first period of each of the K transfers, divided by the rated ones, shape (batch,
+            K, drives), and their derivatives by the observation, shape (batch, K, drives, entries).
         """
         travel = self._model.axis_travel(goal)
         gains = self._gains[self._grid.nearest(travel)] @ self._of_observation
@@ -134,7 +135,8 @@ class PlanBank:
             last_action: Voltages of the period before, divided by the rated voltages, shape (batch, drives).
 
         Returns:
-            K laws per observation, in units of the rated voltages.
+            Voltages of the first period of each of the K transfers, divided by the rated ones, shape (batch,
+            K, drives), and their derivatives by the observation, shape (batch, K, drives, entries).
         """
         rated = self._model.rated
         planned = self._transfers.plan(

@@ -365,16 +365,18 @@ class ResidualAction:
     def parts(self, distance: Any, speed: Any, last_action: Any, laws: Any = None) -> ActionParts:
         """Compute the parts of the actions without the base action, from arrays or torch tensors.
 
-        The offset is held * last action. The last action is limited to +-0.12; `Authority.held` computes
-        held, 0 to 1.
-
         Args:
             distance: Distances to the goal, m, shape (batch,).
             speed: Tool speeds, m/s, shape (batch,).
-            last_action: Actions of the previous period, fractions of the rated voltages,
-                shape (batch, drives).
+            last_action: Actions of the previous period, fractions of the rated voltages, shape (batch,
+                drives).
             laws: Voltages of K feedback laws, fractions of the rated voltages, shape (batch, K, drives). A
                 law is the first voltage of a motion that brings the tool to rest at the goal. Default: none.
+
+        Returns:
+            The offset, held * last action, with the last action limited to +-0.12 and held from
+            `Authority.held`, shape (batch, drives); the authority, the fraction of the rated voltage that an
+            output of 1 represents, shape (batch, 1); and `laws`.
         """
         held = self.authority.held(distance, speed) * last_action.clip(-LARGEST_HELD, LARGEST_HELD)
         return ActionParts(held, self.authority(distance, speed), laws)

@@ -77,7 +77,7 @@ def check_excitation(recordings: Sequence[Recording], data: Dataset, machine: Ma
 
 
 def constant_inputs(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
-    """Report inputs that are constant in a run, because the drive was not used or its voltage not logged.
+    """Report, as advice, inputs that are constant in a run: the drive was not used or not logged.
 
     An input that is zero throughout a run is not reported if it changes in another run, because runs in which
     a drive is off are useful.

@@ -70,6 +70,10 @@ def span_motion(data: Dataset, machine: Machine) -> SpanMotion:
     """Simulate the runs, and compare changes of measurements and simulation over short time spans.
 
     A simulation begins at the workspace's center or a commanded position, with the recorded inputs.
+
+    Returns:
+        Changes over each span, measured and simulated, and the measurement at its middle, in the sensors'
+        units, shape (rows, sensors) each, and the index of the run of each row.
     """
     parts = []
     for i, run in enumerate(map(_first_rows, data.runs)):

@@ -103,6 +103,9 @@ def starts_from_rest(
             measured, shape (n,).
         resting: Largest change of the values at rest, in their unit.
         moving: Smallest change of the values that counts as a motion, in their unit, more than `resting`.
+
+    Yields:
+        Time of the last row at rest, s, and whether the motion has the direction of the force.
     """
     idle = np.concatenate([[False], force == 0.0, [False]]).astype(int)
     last = -1  # row in which the previous start reached its size

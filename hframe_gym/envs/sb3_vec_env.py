@@ -171,10 +171,16 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
     def step_wait(self) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], list[dict[str, Any]]]:
         """Advance by one control period with the actions that `step_async` has received.
 
-        Where an episode ended, the observation is the first one of the next episode, and `infos` also has
-        `is_success` (tool within the task's band around the goal) and the distance to the goal, `distance_m`
-        or `distance_rad`, at its end. With the reward "progress", it has the goals before the step:
-        `previous_achieved_goal` and, if goals move, `previous_desired_goal`.
+        Returns:
+            observation: Observations after the period; where an episode ended, the first one of the next
+            episode.
+            reward: Rewards, dimensionless, shape (num_envs,).
+            done: Whether the episode ended, shape (num_envs,).
+            infos: A dict for each environment. Where an episode ended, it has its last observation
+            (`terminal_observation`), `TimeLimit.truncated`, `is_success` (tool within the task's band around
+            the goal) and the distance to the goal, `distance_m` or `distance_rad`, at its end. With the
+            reward "progress", it has the goals before the step: `previous_achieved_goal` and, if goals move,
+            `previous_desired_goal`.
 
         Raises:
             ValueError: If the actions have another shape or an entry is not finite.

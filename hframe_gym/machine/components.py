@@ -347,7 +347,7 @@ class Sensor(Component):
 
     @property
     def sensed(self) -> SensedQuantity:
-        """Properties of the measured quantity."""
+        """Properties that all sensors of the measured quantity have in common, such as whether it jumps."""
         return SENSED_QUANTITIES[self.quantity]
 
     @property

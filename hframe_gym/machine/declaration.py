@@ -197,7 +197,10 @@ class Component:
     @classmethod
     @cache
     def attributes(cls) -> Mapping[str, Attribute]:
-        """Return the declared attributes by name, in the order of machine.json: texts come first."""
+        """Return the declared attributes by name, in the order of machine.json: texts come first.
+
+        Attributes that are the standard deviation of another one (`Number.std`) are left out.
+        """
         hints = get_type_hints(cls, include_extras=True)
         described = descriptions(cls)
         found = []

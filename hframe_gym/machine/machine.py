@@ -311,7 +311,10 @@ class Machine:
 
     @cached_property
     def contacts(self) -> tuple[Contact, ...]:
-        """Contacts that effects add between two coordinates, such as the teeth of a gear with backlash."""
+        """Stiff contacts that effects add, such as the teeth of a gear with backlash.
+
+        Each has the names of the coordinates before and behind it, and half of the gap between them.
+        """
         extensions, contacts = {belt.name: belt.extension for belt in self.belts}, []
         for effect in self.effects:
             if effect.added_belt:

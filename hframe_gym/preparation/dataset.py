@@ -167,6 +167,10 @@ class PreparedRecording:
         Args:
             step_s: Longest integration step, s.
             inputs: Voltages in the rows, V, shape (..., n, drives). Default: those of the run.
+
+        Returns:
+            Times, s, shape (m,), the voltages from then on, V, shape (..., m, drives), and the number of
+            times from one row to the next.
         """
         if self.updates == 1:
             return HeldVoltages(self.time_s, self.inputs if inputs is None else inputs, 1)

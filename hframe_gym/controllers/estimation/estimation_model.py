@@ -30,11 +30,13 @@ SMALLEST_NOISE_M = 1e-7
 def prior_deviation(machine: Machine, name: str, declared: float) -> float:
     """Return the prior standard deviation of ln(true value / declared value) of a parameter, dimensionless.
 
+    For an identified parameter with the standard deviation s and the value v, it is sqrt((s / v)^2 +
+    (`REMAINING` * declared)^2), but at most `declared`.
+
     Args:
         machine: Machine with the value, and with its covariance if it was identified.
         name: Full name of the parameter, for example "x.mass".
-        declared: Result for a parameter that was not identified, dimensionless; also the upper limit of the
-            result.
+        declared: Result for a parameter that was not identified or is 0, dimensionless.
     """
     std = machine.uncertainty.std(name) if machine.uncertainty else None
     value = machine.parameters[name]

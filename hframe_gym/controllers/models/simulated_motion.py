@@ -66,6 +66,9 @@ class SimulatedMotion:
     ) -> tuple[Array, Array]:
         """Simulate the machines from given states and memories.
 
+        A memory holds what a state of the model lacks: deflections of slow loads, m or rad, their rates, and
+        the states of effects, SI.
+
         Args:
             state: States at the first time.
             memory: Memories at the first time, shape (B, M).
@@ -74,8 +77,8 @@ class SimulatedMotion:
             **options: Keyword arguments of `simulate_batch`: `longest_step`, `parallel`.
 
         Returns:
-            States of the model at all times, travel, m, then velocity, m/s, shape (B, N, 2 n).
-            Memories at all times, shape (B, N, M).
+            states: States of the model at all times, travel, m, then velocity, m/s, shape (B, N, 2 n).
+            memories: Memories at all times, shape (B, N, M).
         """
         start = np.empty((len(state), len(self._state_columns) + self.memory_size))
         start[:, self._state_columns] = state / self._travel_per_unit
@@ -106,7 +109,7 @@ class SimulatedMotion:
         simulated.
 
         Args:
-            memory: Memories at the end of the simulation, shape (B, M).
+            memory: Memories (see `simulate`) at the end of the simulation, shape (B, M).
             simulated: States at the end of the simulation.
             measured: States at that time according to the sensors, from a state estimator.
 

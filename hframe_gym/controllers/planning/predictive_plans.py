@@ -107,6 +107,10 @@ class ArrivalPlanner:
 
         Args:
             arrival: Number K of control periods until the tool arrives, 1 or more, shape (B,).
+
+        Returns:
+            Motor voltages of the periods of the longest possible plan, V, zero after the end of a shorter
+            one, and the largest predicted distance of each tool to its goal from its arrival on, m.
         """
         rated, axes, batch = self._model.rated, len(self._model.tool), len(arrival)
         # Residuals are R a + c for actions a within [-1, 1].

@@ -201,6 +201,10 @@ class Equations(SignalEquations):
         Args:
             motor_voltages: Voltage at the terminals of each motor, V.
             forces: Sum of the forces of belts and drives on each coordinate, N.
+
+        Returns:
+            The sum and the Coulomb friction force of each coordinate along its belt travel, N, and the
+            arguments of the formulas by which effects advance their states (`next_state`).
         """
         arguments: dict[int, dict[str, Value]] = {}
         totals, levels = [], []
@@ -333,6 +337,8 @@ class Equations(SignalEquations):
         self, point: MotionPoint, voltages: Sequence[Value], belt_forces: Sequence[Value] | None = None
     ) -> ForceBalance:
         """Return the sum of belt, drive and effect forces on each coordinate, and the Coulomb friction force.
+
+        It computes belt and drive forces for `force_balance`, whose result it returns.
 
         Args:
             voltages: Commanded voltage of each drive, V, after its delay.

@@ -203,7 +203,7 @@ def observation_signals(
     observed: Sequence[SignalSpec] | None = None,
     privileged: Sequence[SignalSpec] = (),
 ) -> dict[str, tuple[SignalSpec, ...]]:
-    """Specify the entries of all arrays of an observation, by key in alphabetical order as in Gymnasium.
+    """Specify name, unit and bounds of the entries of all arrays of an observation.
 
     Args:
         previews: Number of future goals in the observation; 0 for a goal that does not move.
@@ -211,6 +211,9 @@ def observation_signals(
             the driven coordinates.
         privileged: Entries of the array `privileged` for a critic (true state, parameters). Default: no such
             array.
+
+    Returns:
+        Entries in order by key of the array; keys in alphabetical order, as in Gymnasium.
 
     Raises:
         InputError: As `state_signals`.

@@ -239,7 +239,7 @@ def traveled(t: float, speed: float, lead_s: float, length: float) -> float:
 
 
 def circle(size: float) -> Curve:
-    """Create a circle of diameter `size`, m, counterclockwise from (size / 2, 0)."""
+    """Create a closed curve: a circle of diameter `size`, m, counterclockwise from (size / 2, 0)."""
     radius = 0.5 * size
     return Curve(CurveData(radius, True, np.zeros((0, 2)), np.array([0.0, 2.0 * math.pi * radius])))
 

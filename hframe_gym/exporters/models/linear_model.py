@@ -87,7 +87,9 @@ class Mode(NamedTuple):
 
 
 def linear_model(machine: Machine, position: Array) -> LinearModel:
-    """Linearize a machine, with its effects, at rest; the model is in SI.
+    """Linearize a machine at rest, with those of its effects that have a linear model; the model is in SI.
+
+    Coulomb friction is left out. Delays are listed beside the matrices, as are the effects that are left out.
 
     Args:
         position: Operating point: position of every coordinate at which no belt is stretched, m or rad, shape

@@ -99,9 +99,15 @@ def trace_formula(
     function: Callable[..., Sequence[Any]],
     parameters: Mapping[str, Parameter],
 ) -> Formula:
-    """Trace a function of the equations of motion as a formula; the arguments are its attributes.
+    """Trace a function of the equations of motion as a formula, from which source text can be written.
 
     Args:
+        name: Name, after the prefix of the export.
+        comment: What it computes.
+        inputs: Arguments of the written function, in order.
+        outputs: Its results; one that is also an input, such as an integral, is a state.
+        function: Function (values, *arguments) of the parameter values by full name, and of one value or list
+            of values per input, which returns all entries of the outputs.
         parameters: Parameters of the machine by full name, see `parameters_of`.
     """
     trace = FormulaTrace(name)
@@ -115,7 +121,11 @@ def trace_formula(
 
 
 def parameters_of(machine: Machine) -> dict[str, Parameter]:
-    """Return names in source text for the parameters of a machine, by full name; all are different."""
+    """Return identifier in source text, value (SI) and comment of the parameters of a machine.
+
+    Returns:
+        By full name, such as "x.mass"; all identifiers are different.
+    """
     found: dict[str, Parameter] = {}
     taken: set[str] = set()
     for full, value in machine.parameters.items():

@@ -103,6 +103,10 @@ def write_body(formula: Formula, language: Language) -> Body:
 
     Args:
         language: Writer, to whose `helpers` the functions that the text uses are added.
+
+    Returns:
+        Lines without indentation, names of new numbers and of new truth values, and the texts of the inputs
+        and parameters that occur.
     """
     return _Writer(formula, language).body
 

@@ -79,15 +79,18 @@ class MotionFormulas:
         return [plain(line) for line in lines]
 
     def vectors(self, formula: Formula, count: int, seed: int) -> Vectors:
-        """Compute test vectors of a formula by the simulator's equations, or by the controller for `pid`.
+        """Compute test vectors of a formula: random inputs, and the outputs that the equations give for them.
 
-        The vectors of `pid` are successive steps from an integral of zero, those of other formulas belong to
-        random times, s, and motions within the limits of the machine.
+        The vectors of `pid` are successive steps of the controller from an integral of zero, those of other
+        formulas belong to random times, s, and motions within the limits of the machine.
 
         Args:
             formula: One of `formulas`, not an amplifier's.
             count: Number of vectors.
             seed: Seed of the random numbers; equal seeds give equal vectors.
+
+        Returns:
+            Entries of all inputs and of all outputs but states, shape (count, entries) each.
         """
         rng = np.random.default_rng(seed)
         time, position, velocity, acceleration = self._random_motion(rng, count)

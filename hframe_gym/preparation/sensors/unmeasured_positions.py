@@ -31,8 +31,8 @@ def without_unmeasured_positions(
         machine: Machine as declared.
 
     Returns:
-        Runs and machine without these sensors, and a sentence about them. The same runs and machine, and no
-        sentence, if a position was measured.
+        Runs and machine without these sensors and the effects on them, and a sentence about them. Otherwise
+        the same runs and machine, and no sentence.
     """
     measured = np.any([np.isfinite(r.outputs).any(axis=0) for r in recordings], axis=0)  # (sensors,)
     speeds = np.array([s.of_velocity for s in machine.sensors], np.bool_)

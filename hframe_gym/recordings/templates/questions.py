@@ -46,6 +46,9 @@ def template_questions(like: str) -> tuple[TemplateQuestion, ...]:
 
     Args:
         like: Name of the template, a key of `TEMPLATES`.
+
+    Returns:
+        For each question its option, text, default (the template's value, SI) and possible answers.
     """
     machine = BUILTIN_MACHINES[like]()
     drive, axes = machine.drives[0], [machine.coordinate(name) for name in machine.tool_axes]

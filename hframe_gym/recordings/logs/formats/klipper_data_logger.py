@@ -65,7 +65,10 @@ class KlipperDataLogs(LogFormat):
 
     @override
     def open(self, path: Path) -> list[Log]:
-        """Read all messages of the subscriptions to motions and sensors."""
+        """Read the motions, steps and measurements of sensors to which the logger subscribed, as one log.
+
+        Other subscriptions are left out; a remark names them.
+        """
         if not self.is_log(path):
             advice = "of compressed JSON only those are read; export a table as CSV"
             raise InputError(f"{path}: is no log of Klipper's data_logger; {advice}")

@@ -62,7 +62,7 @@ def signal_columns(names: Sequence[str]) -> tuple[LogColumn, ...]:
 
 
 def table_in_memory(names: Sequence[str], name: str, time_s: Array, values: Sequence[Array]) -> TimedTable:
-    """Return a table whose values are in memory.
+    """Return a table whose values are in memory, for `log_of_tables`.
 
     Args:
         names: Name of each column, possibly with its unit (`signal_columns`).

@@ -88,7 +88,7 @@ def _rows_of(log: Log, name: str, first: int, end: int) -> Log:
 def open_text_table(
     path: Path, remarks: tuple[str, ...] = (), unit_of: Callable[[str], str] = lambda name: ""
 ) -> Log:
-    """Open a table in text.
+    """Open a table in text, with one row for each time, or with one quantity in each row.
 
     Args:
         remarks: Sentences for the user about the file; those about its deviations from a recording follow.
