@@ -131,7 +131,12 @@ class SetPointController(Controller):
 
     @override
     def concern(self) -> str | None:
-        """Return a warning if the rated positions do not cover the workspace, or the period is too long."""
+        """Return a warning if the set points do not suffice for the workspace, else None.
+
+        That is so if the rated positions of a drive do not reach all of it, or if a stepper motor, which
+        follows a limited change per period without losing steps, crosses it in more than
+        `LONGEST_CROSSING_S`.
+        """
         machine = self.machine
         ranges = [machine.coordinate(axis).range or (0.0, 0.0) for axis in machine.tool_axes]
         corners = np.stack(np.meshgrid(*ranges, indexing="ij"), axis=-1).reshape(-1, len(ranges))

@@ -216,6 +216,9 @@ class EndStops:
     def parameters(self, values: Array) -> Array:
         """Append the parameters of the end stops to those of k machines, SI, shape (k, parameters).
 
+        The buffers of a machine whose masses are too small for the step of the integrator are softer than the
+        nominal ones, so that their oscillation stays resolved.
+
         Args:
             values: Parameters of the machines, SI, shape (k, N). The first columns are the parameters of the
                 machine without end stops, in their order; further columns are ignored.

@@ -207,7 +207,10 @@ class Machine:
 
     @property
     def commands_in_words(self) -> str:
-        """The inputs in words, for messages: "voltages", "duty cycles", "currents" or "set points"."""
+        """The inputs in words, for messages: "voltages", "duty cycles", "currents", "torques" or "set points".
+
+        For drives of several kinds it is "commands".
+        """
         quantities = {
             "duty cycle" if DRIVE_KINDS.get(drive.kind).fraction else drive.command for drive in self.drives
         }

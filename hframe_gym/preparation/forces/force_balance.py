@@ -83,7 +83,9 @@ def force_balance(
         input_correction: Matrix that multiplies the inputs, shape (drives, drives).
 
     Returns:
-        The balance. None if the sensors determine no motion, nothing moves, or too few rows are measured.
+        Fractions of the squared force, and of its changes, that stay unexplained, 0 to 1, and the ratios of
+        fitted to declared inertia and viscous friction of each motion. None if the sensors determine no
+        motion, nothing moves, or too few rows are measured.
     """
     R = leading_motions(machine)
     if not len(R) or not windows:

@@ -100,6 +100,9 @@ def force_equations(
 ) -> Iterator[ForceEquations]:
     """Yield the balance of forces along each rigid motion that the sensors determine.
 
+    Nothing is yielded if they determine none, or for a machine with drives whose force is not in proportion
+    to their command.
+
     Args:
         windows: Motion of each run, at least one.
         machine: Declared machine: directions of drives and sensors, inertia of its rigid motions.
@@ -109,8 +112,7 @@ def force_equations(
 
     Yields:
         Equations, N or Nm, shape (rows,); of some motions too few for a regression
-        (`ForceEquations.determined`). None for a machine with drives whose force is not in proportion to
-        their command.
+        (`ForceEquations.determined`).
     """
     if machine.drive_laws:
         return
