@@ -175,6 +175,8 @@ class Agent(Controller):
     def mismatch(self, machine: Machine, period: float, sensors: SensorsLike = "state") -> str | None:
         """Return a warning if an evaluation differs from the training in machine, control period or sensors.
 
+        It is None if nothing differs.
+
         Args:
             period: Control period of the evaluation, s.
             sensors: What the agent observes in the evaluation: "state", or a sensor suite or its name.

@@ -35,7 +35,7 @@ class AgentSource(ControllerSource):
         """Load a trained agent, and warn if it was trained with another machine, control period or sensors.
 
         The name is a folder, or an agent of the package, such as "ppo"; the scenario's task then selects the
-        variant.
+        variant. Returns None for other names.
 
         Raises:
             InputError: If the package has the agent for other tasks only, the folder holds no agent, its
@@ -73,7 +73,10 @@ class AgentSource(ControllerSource):
     @staticmethod
     @override
     def files(name: str, scenario: Scenario) -> ControllerFiles | None:
-        """List the files that determine an agent, so that results can identify it by their hash."""
+        """List the files that determine an agent, so that results can identify it by their hash.
+
+        Returns None if the name is not that of an agent.
+        """
         folder = _agent_folder(name, scenario.task_name)
         if folder is None:
             return None

@@ -86,6 +86,8 @@ class ZipSource(ControllerSource):
     def make(name: str, scenario: Scenario) -> Sb3Model | None:
         """Load a model from a zip file, and determine the format of observations that it was trained with.
 
+        Returns None if the name is not that of a zip file.
+
         Raises:
             InputError: If the file is no model of stable-baselines3, its observations or actions are not
                 those of an environment of this scenario (the message says which are missing), or
@@ -124,7 +126,10 @@ class ZipSource(ControllerSource):
     @staticmethod
     @override
     def files(name: str, scenario: Scenario) -> ControllerFiles | None:
-        """List the file, whose content identifies the model, its algorithm and number of training steps."""
+        """List the file, whose content identifies the model, its algorithm and number of training steps.
+
+        Returns None if the name is not that of a zip file.
+        """
         if not _is_zip(name):
             return None
         data = _data(Path(name))

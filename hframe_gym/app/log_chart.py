@@ -35,7 +35,7 @@ class LogChart:
         return self._place.is_deleted
 
     def draw(self, view: LogView, intervals: Sequence[Interval], *, selectable: bool) -> None:
-        """Draw the columns of a log; draw nothing if it has none.
+        """Draw a log's columns, of hundreds only the first ones; draw nothing if it has none.
 
         Args:
             intervals: Time intervals of the log to mark.

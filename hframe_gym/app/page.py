@@ -132,7 +132,7 @@ class Stage(ABC):
         self._show_output()
 
     def update_command(self) -> None:
-        """Show the commands that follow from the user's present choices."""
+        """Show the commands that follow from the user's present choices, or why they are not possible."""
         if self._code is None:
             return
         try:

@@ -56,9 +56,10 @@ class TextbookPID(FullStateController):
 
     @override
     def concern(self) -> str | None:
-        """Return a warning if the sampled linear closed loop is unstable somewhere in the workspace.
+        """Return a warning if the sampled linear closed loop is unstable in the workspace, else None.
 
-        Saturation, dead time, Coulomb friction and effects, which may damp the belts, are ignored.
+        It is also returned if the loop is unstable at some positions only. Saturation, dead time, Coulomb
+        friction and effects, which may damp the belts, are ignored.
         """
         n, axes = len(self.model.mass), len(self._axes)
         # Select the tool from the state.

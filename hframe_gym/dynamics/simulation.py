@@ -35,7 +35,11 @@ class NotFiniteError(ArithmeticError):
 
 
 def threads() -> int:
-    """Return the number of threads for simulating a batch: `$HFRAME_THREADS`, or the available cores."""
+    """Return the number of threads for simulating a batch: `$HFRAME_THREADS`, or the available cores.
+
+    Raises:
+        InputError: If the environment variable is set to something other than a whole number.
+    """
     explicit = os.environ.get("HFRAME_THREADS")
     if not explicit:
         return cores()

@@ -117,7 +117,11 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
 
     @override
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Store seeds for the next reset, `seed` + i for environment i; None draws a random `seed`."""
+        """Store seeds for the next reset, `seed` + i for environment i; None draws a random `seed`.
+
+        Raises:
+            InputError: If the seed is negative or not an integer.
+        """
         if seed is not None and not (is_integer(seed) and seed >= 0):
             raise InputError(f"seed is {seed!r}, it must be an integer that is not negative, or None")
         seeds: Sequence[int | None] = super().seed(None if seed is None else int(seed))

@@ -257,8 +257,8 @@ class Game:
     def action(self) -> Array:
         """Voltages that the user gives by keys and mouse, as fractions of the rated ones, shape (drives,).
 
-        They push the tool in the direction of the arrow keys or, while the left button is held, toward the
-        pointer; zeros without either.
+        They push the tool in the direction of the arrow keys, harder with Shift, or, while the left button is
+        held, toward the pointer; zeros without either.
         """
         pygame, keys = self._pygame, self._keys
         if self._pointer is not None:

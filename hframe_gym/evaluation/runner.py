@@ -158,6 +158,9 @@ def rollout(controller: Controller, scenario: Scenario) -> Episodes:
     Energy and force are computed from motion and voltages by the laws of Ohm and Hooke, without effects on
     currents and tensions. `Episodes` states the shape of each array; there are 10 samples per control period,
     and one more.
+
+    Raises:
+        InputError: If the motion diverges, or the controller and the scenario do not fit each other.
     """
     if isinstance(controller, EnvironmentController):  # the recorded environments observe keys in SI units
         controller = controller.controller

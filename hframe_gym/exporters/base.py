@@ -165,7 +165,10 @@ class MachineExporter(Exporter):
         }
 
     def header(self, machine: Machine, *more: str) -> list[str]:
-        """Return the first lines of a text file without comment signs: its origin, then more statements."""
+        """Return the first lines of a text file without comment signs: its origin, then more statements.
+
+        The origin is the machine's name, the hash of its file, its effects, and the command with its options.
+        """
         about = self.provenance(machine)
         options = ", ".join(f"{name} = {value}" for name, value in about["options"].items())
         lines = [

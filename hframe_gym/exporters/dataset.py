@@ -45,7 +45,12 @@ class DatasetExporter(Exporter):
 
     @override
     def write(self, out: str | Path, log: LineLog = lambda line: None) -> None:
-        """Write the data sets; each appears when it is complete."""
+        """Write the data sets; each appears when it is complete.
+
+        Raises:
+            InputError: If an option or the name of a controller is wrong (then nothing is written), or an
+                episode fails.
+        """
         from ..evaluation import Scenario, dataset_controller, export_dataset
 
         out = output_folder(out)

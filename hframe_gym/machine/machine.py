@@ -207,7 +207,7 @@ class Machine:
 
     @property
     def commands_in_words(self) -> str:
-        """The inputs in words, for messages: "voltages", "duty cycles", "currents", "torques" or "set points".
+        """The inputs in words: "voltages", "duty cycles", "currents", "torques" or "set points".
 
         For drives of several kinds it is "commands".
         """

@@ -51,7 +51,7 @@ class CheckStage(Stage):
 
     @override
     def missing(self) -> tuple[str, str] | None:
-        """Ask for the stage "logs" if the session has no runs."""
+        """Ask for the stage "logs" if the session has no runs; else return None."""
         return None if self.session.runs else ("logs", "There are no runs yet.")
 
     @override

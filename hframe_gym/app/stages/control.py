@@ -48,7 +48,7 @@ class ControlStage(Stage):
 
     @override
     def missing(self) -> tuple[str, str] | None:
-        """Ask for the stage "machine" if the session has no machine."""
+        """Ask for the stage "machine" if the session has no machine; else return None."""
         machine = self.session.machine
         if machine is None:
             return "machine", "There is no machine yet."

@@ -36,7 +36,7 @@ class ExportStage(Stage):
 
     @override
     def missing(self) -> tuple[str, str] | None:
-        """Ask for the stage "machine" if the session has no machine."""
+        """Ask for the stage "machine" if the session has no machine; else return None."""
         return None if self.session.machine is not None else ("machine", "There is no machine yet.")
 
     @override

@@ -44,7 +44,7 @@ class IdentifyStage(Stage):
 
     @override
     def missing(self) -> tuple[str, str] | None:
-        """Ask for the stage "logs" if the session has fewer than two runs."""
+        """Ask for the stage "logs" if the session has fewer than two runs; else return None."""
         if len(self.session.runs) < 2:
             return "logs", "Identification needs at least two runs, because one is held out."
         return None

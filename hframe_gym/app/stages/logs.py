@@ -67,7 +67,7 @@ class LogsStage(Stage):
 
     @override
     def missing(self) -> tuple[str, str] | None:
-        """Ask for the stage "machine" if the session has no machine."""
+        """Ask for the stage "machine" if the session has no machine; else return None."""
         if self.session.machine is None:
             return "machine", "Logs are read for a machine: its channels say what the columns can be."
         return None

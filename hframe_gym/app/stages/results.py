@@ -34,7 +34,7 @@ class ResultsStage(Stage):
 
     @override
     def missing(self) -> tuple[str, str] | None:
-        """Ask for the stage "identify" if there is no result yet."""
+        """Ask for the stage "identify" if there is no result yet; else return None."""
         return None if self.state() else ("identify", "There is no result yet.")
 
     @override

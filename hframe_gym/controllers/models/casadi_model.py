@@ -110,7 +110,7 @@ class SymbolicModel:
         as zero.
 
         Args:
-            state: State, m and m/s.
+            state: State as in `rate`, m and m/s, shape (2 n,).
             time: Time since the start, s.
 
         Returns:

@@ -42,7 +42,11 @@ class Reach(Task):
 
     @override
     def check(self, workspace: Workspace) -> None:
-        """Check that band and margin are valid and that start and target lie in the workspace."""
+        """Check band, margin, and that start and target lie in the workspace.
+
+        Raises:
+            InputError: If one of them is invalid.
+        """
         if not (is_number(self.band) and self.band > 0.0):
             raise InputError(f"task reach: band is {self.band!r}, it must be a positive number, m or rad")
         size = workspace[:, 1] - workspace[:, 0]

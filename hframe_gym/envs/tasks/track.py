@@ -143,7 +143,10 @@ class Track(Task):
 
     @override
     def check(self, workspace: Workspace) -> None:
-        """Check that the path with its margin fits into the workspace; a path from a file needs two axes."""
+        """Check that the path with its margin fits into the workspace; raises an InputError if it does not.
+
+        Of a path from a file, which needs a machine with two axes, each point must lie in the workspace.
+        """
         if self._is_file:
             if len(workspace) != 2:
                 raise InputError(

@@ -56,7 +56,11 @@ class Interval(NamedTuple):
 
 
 def parse_interval(text: str) -> Interval:
-    """Read a time interval, s, of the option --cut: "FROM:TO", or "LOG=FROM:TO" for one of several logs."""
+    """Read a time interval, s, of the option --cut: "FROM:TO", or "LOG=FROM:TO" for one of several logs.
+
+    Raises:
+        InputError: If the text is not of this form, or the end is not after the beginning.
+    """
     name, _, span = text.rpartition("=")
     first, _, last = span.partition(":")
     try:

@@ -33,7 +33,11 @@ class CodesysTraces(LogFormat):
 
     @override
     def open(self, path: Path) -> list[Log]:
-        """Read the samples of all variables, each with its own times, into one log."""
+        """Read the samples of all variables, each with its own times, into one log.
+
+        Raises:
+            InputError: If no variable has samples, or the samples are not readable.
+        """
         text = path.read_text(encoding="utf-8-sig", errors="replace")
         starts = [*_VARIABLE.finditer(text)]
         ends = [match.start() for match in starts[1:]] + [len(text)]

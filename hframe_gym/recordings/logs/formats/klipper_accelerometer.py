@@ -29,7 +29,11 @@ class KlipperAccelerometerLogs(LogFormat):
 
     @override
     def open(self, path: Path) -> list[Log]:
-        """Open the table of a measurement and assign units to its columns."""
+        """Open the table of a measurement and assign units to its columns.
+
+        Raises:
+            InputError: If the file is damaged, or is a spectrum, which has no times.
+        """
         with open(path, "rb") as file:
             header = _header(file.read(START_BYTES))
         if header != _HEADER:

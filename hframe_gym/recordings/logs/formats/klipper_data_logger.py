@@ -68,6 +68,9 @@ class KlipperDataLogs(LogFormat):
         """Read the motions, steps and measurements of sensors to which the logger subscribed, as one log.
 
         Other subscriptions are left out; a remark names them.
+
+        Raises:
+            InputError: If the file is another kind of compressed JSON, or has no motions and no measurements.
         """
         if not self.is_log(path):
             advice = "of compressed JSON only those are read; export a table as CSV"

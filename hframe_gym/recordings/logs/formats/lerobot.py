@@ -54,7 +54,11 @@ class LeRobotLogs(LogFormat):
 
     @override
     def open(self, path: Path) -> list[Log]:
-        """Open a Parquet file of the data set; each episode in it is a log."""
+        """Open a Parquet file of the data set; each episode in it is a log.
+
+        Raises:
+            InputError: If the file is damaged, or the rows of an episode are not together.
+        """
         table = ParquetTable(path, _item_names(path))
         headers = [column.header for column in table.columns]
         (episodes,) = table.read([headers.index(_EPISODE)])

@@ -47,6 +47,9 @@ class MatlabLogs(LogFormat):
         """Read all vectors of numbers in a MATLAB or HDF5 file at once, in a separate process.
 
         The columns of the log are these vectors; each experiment of an iddata object is a log.
+
+        Raises:
+            InputError: If the file is damaged or has no vectors of numbers, or an extra is missing.
         """
         with open(path, "rb") as file:
             start = file.read(_MATLAB_BLOCK + len(_HDF5))

@@ -28,7 +28,11 @@ class NumpyLogs(LogFormat):
 
     @override
     def open(self, path: Path) -> list[Log]:
-        """Read all arrays of one or two dimensions, whose vectors are the columns of one log."""
+        """Read all arrays of one or two dimensions, whose vectors are the columns of one log.
+
+        Raises:
+            InputError: If the file is damaged, or has no such arrays of numbers.
+        """
         found = [pair for name, values in read_arrays(path).items() for pair in vectors(name, values)]
         if not found:
             raise InputError(

@@ -122,7 +122,11 @@ class SysIdLogs(LogFormat):
 
     @override
     def open(self, path: Path) -> list[Log]:
-        """Read the tests that have rows, slow ones first."""
+        """Read the tests that have rows, slow ones first.
+
+        Raises:
+            InputError: If the file is no valid JSON, or has no tests.
+        """
         try:
             content = read_json(path)
         except InputError as error:

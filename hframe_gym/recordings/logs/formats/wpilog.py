@@ -80,6 +80,9 @@ class WpiLogs(LogFormat):
         """Read the entries of numbers, each with its own times, into one log, or one for each test of SysId.
 
         Texts and raw data are left out.
+
+        Raises:
+            InputError: If no entry has numbers.
         """
         content = path.read_bytes()
         entries, is_complete = _entries(path, content)
