@@ -12,12 +12,10 @@ the same direction. A constant force of its own in each run explains that as wel
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
 
@@ -27,6 +25,7 @@ from ..identification import PreparedRecording
 from ..machine import Machine
 from ..preparation.forces.force_balance import EXPLAINED, SPANS, explains_instead
 from ..preparation.forces.force_equations import ForceEquations, force_equations
+from ..preparation.forces.integrated_speeds import with_integrated_speeds
 from ..preparation.forces.motion_windows import motion_windows
 from ..recordings import comparison_window
 from .findings import Finding
@@ -108,31 +107,6 @@ def check_signs_of_runs(runs: Sequence[PreparedRecording], machine: Machine) -> 
             message += "does the sign differ between these runs, or does another load move it?"
         findings.append(Finding("fault" if signs.certain else "advice", "", inputs, message))
     return findings
-
-
-def with_integrated_speeds(
-    runs: Sequence[PreparedRecording], machine: Machine
-) -> tuple[list[PreparedRecording], Machine]:
-    """Replace the sensors of speeds by sensors of positions, and their measurements by the integrals.
-
-    Returns:
-        Runs with positions only, m or rad, which begin with 0 at the first measured speed; and the machine
-        with encoders in place of its sensors, without effects.
-    """
-    of_speed = np.array([sensor.of_velocity for sensor in machine.sensors], np.bool_)
-    sensors = tuple(dataclasses.replace(s, kind="encoder") for s in machine.sensors if s.of_velocity)
-    positions = []
-    for run in runs:
-        outputs = run.outputs[:, of_speed].copy()
-        for values in outputs.T:
-            measured = np.flatnonzero(np.isfinite(values))
-            if len(measured):
-                rows = slice(measured[0], measured[-1] + 1)
-                time_s = run.time_s[rows]
-                speeds = np.interp(time_s, run.time_s[measured], values[measured])
-                values[rows] = cumulative_trapezoid(speeds, time_s, initial=0.0)
-        positions.append(dataclasses.replace(run, outputs=outputs))
-    return positions, machine.replace(sensors=sensors, effects=())
 
 
 def _signs_of_runs(runs: Sequence[PreparedRecording], machine: Machine, coordinate: int) -> _Signs | None:

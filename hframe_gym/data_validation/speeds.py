@@ -12,6 +12,7 @@ from scipy.integrate import cumulative_trapezoid
 
 from ..arrays import Array
 from ..machine import Machine
+from ..preparation.sensors.contradicted_speeds import contradicted_speeds
 from ..preparation.sensors.noise import sensor_quantum
 from ..recordings import Recording
 from .findings import Finding
@@ -106,6 +107,23 @@ def _finding(machine: Machine, speed: int, ratio: float) -> Finding:
         f"hframe import FILE --scale {channel}={1.0 / ratio:.4g} (times its present factor)"
     )
     return Finding("fault", "", channel, message)
+
+
+def check_speeds_in_parts(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
+    """Report, as advice, parts of runs in which a speed is a multiple of the rate of a position.
+
+    Identification leaves out one of the two sensors.
+    """
+    findings = []
+    for part in contradicted_speeds(recordings, machine):
+        message = (
+            f"is {part.ratio:.3g} times the speed at which {part.position} changes in rows {part.first + 1} "
+            f"to {part.last + 1}, but not in other parts: the scale of one of the two sensors changes. "
+            "Identification leaves out the sensor whose motion follows less from the commands. If you know "
+            f"which is wrong: hframe import FILE --map {part.speed}=none, or --map {part.position}=none"
+        )
+        findings.append(Finding("advice", part.run, part.speed, message))
+    return findings
 
 
 def check_computed_speeds(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:

@@ -18,10 +18,10 @@ from ..identification import PreparedRecording
 from ..machine import Machine
 from ..preparation.forces.force_balance import EXPLAINED, SPANS, explains_instead
 from ..preparation.forces.force_equations import leading_motions
+from ..preparation.forces.integrated_speeds import with_integrated_speeds
 from ..preparation.forces.motion_windows import MotionWindows, motion_windows
 from ..recordings import comparison_window
 from .findings import Finding
-from .run_signs import with_integrated_speeds
 from .wiring import REMEDY, sensor_motions
 
 _MIN_ROWS = 20  # that a comparison needs, all runs together

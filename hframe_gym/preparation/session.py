@@ -17,6 +17,7 @@ from .clock.jitter import clock_jitter, noise_by_row
 from .dataset import Dataset, PreparedRecording
 from .forces.drive_signs import turned_coordinates, with_turned
 from .inputs.clock_voltages import clock_voltages
+from .sensors.contradicted_speeds import without_contradictions
 from .sensors.noise import independent_values, sensor_noise, sensor_quantum
 from .sensors.saturation import Range, without_saturated
 from .sensors.unmeasured_positions import without_unmeasured_positions
@@ -82,6 +83,13 @@ def prepare_session(recordings: Sequence[Recording], machine: Machine, log: Line
             log(f"{before.name}: begins with its first measurement; rows not used: {count}")
     recordings = begun
     session = _prepared(recordings, machine, log)._replace(statements=statements)
+    consistent, contradictions = without_contradictions(session.usable, session.data.runs, machine)
+    if contradictions:
+        for statement in contradictions:
+            log(statement)
+        recordings, machine, unmeasured = without_unmeasured_positions(consistent, machine)
+        statements = (*statements, *contradictions, *unmeasured)
+        session = _prepared(recordings, machine, log)._replace(statements=statements)
     turned = turned_coordinates(machine, session.data.runs)
     if not turned:
         return session
