@@ -15,9 +15,9 @@ from ..machine import Machine
 from ..recordings import Recording, fill_gaps, shared_wraps, without_shared_wraps
 from .clock.jitter import clock_jitter, noise_by_row
 from .dataset import Dataset, PreparedRecording
+from .forces.contradicted_sensors import without_contradictions
 from .forces.drive_signs import turned_coordinates, with_turned
 from .inputs.clock_voltages import clock_voltages
-from .sensors.contradicted_speeds import without_contradictions
 from .sensors.noise import independent_values, sensor_noise, sensor_quantum
 from .sensors.saturation import Range, without_saturated
 from .sensors.unmeasured_positions import without_unmeasured_positions

@@ -2,14 +2,13 @@
 
 A multiple in all runs is a wrong unit or scale, which `hframe check` reports as a fault. In a part of a run,
 a counter was read twice, an encoder loses pulses in a part of its turn, or a gear was shifted: one of the two
-sensors is wrong there, and nothing about the sensors tells which. The drives' forces do: the motion that one
-of them measures follows from the commands, that of the other one only in part.
+sensors is wrong there, and nothing about the sensors tells which. The drives' forces do
+(`forces/contradicted_sensors.py`).
 """
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,13 +16,8 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import median_filter
 
 from ...arrays import Array
-from ...errors import name_runs
 from ...machine import Machine, Sensor
-from ...recordings import Recording, comparison_window
-from ..dataset import PreparedRecording
-from ..forces.force_balance import SPANS, force_balance
-from ..forces.integrated_speeds import with_integrated_speeds
-from ..forces.motion_windows import motion_windows
+from ...recordings import Recording
 
 PARTS = 20  # of a run, whose motions are compared: long enough for the filter of a speed
 MIN_PARTS = 5  # in a row with the same ratio; the lag of a filter spoils the ratio of one or two after a step
@@ -128,80 +122,3 @@ def _motions(recording: Recording, speed: int, position: int, scale: float) -> t
     travel = cumulative_trapezoid(recording.outputs[measured, speed], recording.time_s[measured], initial=0.0)
     both = np.column_stack([travel, scale * recording.outputs[measured, position]])[bounds]
     return np.column_stack([measured[bounds[:-1]], measured[bounds[1:]]]), np.diff(both, axis=0)
-
-
-def without_contradictions(
-    recordings: Sequence[Recording], runs: Sequence[PreparedRecording], machine: Machine
-) -> tuple[list[Recording], tuple[str, ...]]:
-    """Leave out the sensor that is wrong where a speed contradicts a position.
-
-    Of a speed, the rows of the part are left out. Of a position, all rows of the run: those after the part
-    have another zero.
-
-    Args:
-        recordings: Runs without unusable measurements.
-        runs: The same runs, prepared for a fit.
-        machine: Machine as declared.
-
-    Returns:
-        Runs without these measurements, and a sentence about each sensor; the same runs and no sentence if
-        nothing is contradicted.
-    """
-    parts = contradicted_speeds(recordings, machine)
-    if not parts:
-        return list(recordings), ()
-    of_position = _position_is_wrong(runs, machine)
-    cleaned = []
-    for recording in recordings:
-        outputs = recording.outputs.copy()
-        for part in parts:
-            if part.run == recording.name:
-                rows = slice(None) if of_position else slice(part.first, part.last + 1)
-                outputs[rows, machine.output_channels.index(part.position if of_position else part.speed)] = (
-                    np.nan
-                )
-        cleaned.append(dataclasses.replace(recording, outputs=outputs))
-    return cleaned, tuple(_statements(parts, of_position))
-
-
-def _statements(parts: Sequence[ContradictedSpeed], of_position: bool) -> Iterator[str]:
-    """Yield a sentence about each sensor that is left out."""
-    for speed, position in dict.fromkeys((part.speed, part.position) for part in parts):
-        own = [part for part in parts if (part.speed, part.position) == (speed, position)]
-        runs = name_runs(list(dict.fromkeys(part.run for part in own)))
-        ratio = float(np.median([part.ratio for part in own]))
-        what = (
-            f"In parts of {runs}, {speed} is about {ratio:.3g} times the rate at which {position} changes, "
-            "in other parts it is not."
-        )
-        if of_position:
-            left_out = f"{position} is left out in these runs, since the motion that {speed} shows"
-            yield f"{what} {left_out} follows better from the commands."
-        else:
-            yield f"{what} {speed} is left out there."
-
-
-def _position_is_wrong(runs: Sequence[PreparedRecording], machine: Machine) -> bool:
-    """Decide whether the measured speeds follow from the drives' forces better than the positions do.
-
-    False for drives that follow a set point, whose force is not known, and for machines with belts, where
-    the speed of one coordinate does not show the motion of all.
-    """
-    if machine.drive_laws or machine.belts:
-        return False
-    of_position = machine.position_sensors
-    sensors = tuple(sensor for sensor in machine.sensors if sensor.of_position)
-    positions = [dataclasses.replace(run, outputs=run.outputs[:, of_position]) for run in runs]
-    by_position = _unexplained(positions, machine.replace(sensors=sensors, effects=()))
-    return _unexplained(*with_integrated_speeds(runs, machine)) < by_position
-
-
-def _unexplained(runs: Sequence[PreparedRecording], machine: Machine) -> float:
-    """Return the fraction of the drives' squared force that no machine explains, in the best window."""
-    unchanged = np.eye(len(machine.sensors)), np.eye(len(machine.drives))
-    left = 1.0
-    for span in SPANS:
-        windows = [motion_windows(run, comparison_window(run.outputs, run.time_s, span)) for run in runs]
-        balance = force_balance(windows, machine, *unchanged)
-        left = min(left, balance.unexplained if balance else 1.0)
-    return left
