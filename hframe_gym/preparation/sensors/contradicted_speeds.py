@@ -12,10 +12,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import median_filter
 
-from ...arrays import Array
+from ...arrays import Array, Measurements, Times
 from ...machine import Machine, Sensor
 from ...recordings import Recording
 
@@ -74,8 +75,8 @@ def _of_pair(
         return []
     coordinate = speed.coordinate
     scale = speed.row[coordinate] / position.row[coordinate]
-    channels = [machine.output_channels.index(sensor.channel) for sensor in (speed, position)]
-    motions = [_motions(recording, *channels, scale) for recording in recordings]
+    columns = [machine.output_channels.index(sensor.channel) for sensor in (speed, position)]
+    motions = [_motions(r.time_s, r.outputs[:, columns], scale) for r in recordings]
     sizes = np.concatenate([np.abs(changes).max(axis=1) for _, changes in motions])
     if not len(sizes):
         return []
@@ -108,17 +109,17 @@ def _of_pair(
     return found if agree >= MIN_PARTS else []
 
 
-def _motions(recording: Recording, speed: int, position: int, scale: float) -> tuple[Array, Array]:
-    """Return the rows and the motions of the parts of a run.
+def _motions(time_s: Times, outputs: Measurements, scale: float) -> tuple[NDArray[np.int_], Array]:
+    """Return the rows and the motions of the parts of a run, whose outputs are a speed and a position.
 
     Returns:
         First and last row of each part, shape (parts, 2), and its motion by the speed and by the position,
         in the unit of the integrated speed, m or rad, shape (parts, 2). Rows without either are left out.
     """
-    measured = np.flatnonzero(np.isfinite(recording.outputs[:, [speed, position]]).all(axis=1))
-    bounds = np.linspace(0, len(measured) - 1, PARTS + 1).astype(int)
+    measured = np.flatnonzero(np.isfinite(outputs).all(axis=1))
     if len(measured) < 2 * PARTS:
-        return np.zeros((0, 2), int), np.zeros((0, 2))
-    travel = cumulative_trapezoid(recording.outputs[measured, speed], recording.time_s[measured], initial=0.0)
-    both = np.column_stack([travel, scale * recording.outputs[measured, position]])[bounds]
+        return np.zeros((0, 2), np.int_), np.zeros((0, 2))
+    travel = cumulative_trapezoid(outputs[measured, 0], time_s[measured], initial=0.0)
+    bounds = np.linspace(0, len(measured) - 1, PARTS + 1).astype(int)
+    both = np.column_stack([travel, scale * outputs[measured, 1]])[bounds]
     return np.column_stack([measured[bounds[:-1]], measured[bounds[1:]]]), np.diff(both, axis=0)
