@@ -156,17 +156,23 @@ def test_the_sample_depends_on_the_seed_only(repository: House, monkeypatch: pyt
     assert len({(f.path, f.name) for f in first}) >= 29
 
 
-def test_the_sample_shows_the_docstring_of_the_method_that_one_overrides(tmp_path: Path) -> None:
+def test_the_sample_shows_the_docstrings_of_the_overridden_method_and_of_the_class(tmp_path: Path) -> None:
     package = tmp_path / "hframe_gym"
     package.mkdir()
     (package / "base.py").write_text(
         "class Base(Generic[T]):\n    def name(self) -> str:\n        '''Return the name.'''\n"
     )
-    source = "class Part(Base[int]):\n    def name(self) -> str:\n        return ''\n"
+    source = "class Part(Base[int]):\n    '''A part.'''\n    def name(self) -> str:\n        return ''\n"
     (package / "part.py").write_text(source)
-    method = ast.parse(source).body[0].body[0]  # type: ignore[attr-defined]
+    method = ast.parse(source).body[0].body[1]  # type: ignore[attr-defined]
     function = Function(Path("hframe_gym/part.py"), "Part.name", method)
-    assert describe(function, root=tmp_path).splitlines()[2:] == ["    (of Base)", "    Return the name."]
+    assert describe(function, root=tmp_path).splitlines()[2:] == [
+        "    (of Base)",
+        "    Return the name.",
+        "",
+        "    Its class, Part:",
+        "    A part.",
+    ]
 
 
 def test_of_two_base_classes_with_one_name_that_of_the_same_folder_is_meant(tmp_path: Path) -> None:

@@ -4,7 +4,8 @@
 
 The reader answers for each function: are arguments, result, shapes and units documented, and is it understood
 at first reading? The same seed and the same source tree give the same sample. A property reads as an
-attribute: its docstring describes the value in one sentence, without sections. The docstring of a command is
+attribute: its docstring describes the value in one sentence, without sections. A method is followed by the
+docstring of its class, which describes the attributes that the method reads. The docstring of a command is
 its help page; the help texts of its options, printed behind it, describe its arguments. Words in braces such
 as {tasks} become lists of names there.
 """
@@ -125,6 +126,20 @@ def inherited_docstring(function: Function, root: Path = ROOT) -> str:
     return ""
 
 
+def class_docstring(function: Function, root: Path = ROOT) -> str:
+    """Return the docstring of the class of a method; "" for a function, or without one.
+
+    Args:
+        function: Any function.
+        root: Repository that contains its file.
+    """
+    owner = function.name.rpartition(".")[0].rpartition(".")[2]
+    for path, node in _classes(root).get(owner, []):
+        if path == function.path:
+            return ast.get_docstring(node) or ""
+    return ""
+
+
 def describe(function: Function, *, root: Path = ROOT, source: bool = False) -> str:
     """Format a function for the reader.
 
@@ -133,8 +148,8 @@ def describe(function: Function, *, root: Path = ROOT, source: bool = False) -> 
         source: Whether to print the complete source instead of signature and docstring.
 
     Returns:
-        Heading with file and line, then the signature, the docstring and, for a command, its options; or the
-        source.
+        Heading with file and line, then the signature, the docstring and, for a command, its options, and the
+        docstring of a method's class; or the source.
     """
     node = function.node
     heading = f"{function.path}:{node.lineno}  {function.name}"
@@ -146,6 +161,8 @@ def describe(function: Function, *, root: Path = ROOT, source: bool = False) -> 
     docstring = ast.get_docstring(node) or inherited_docstring(function, root) or "(no docstring)"
     if options := option_helps(function, root):
         docstring += "\n\nOptions:\n" + "\n".join(f"    {name}: {text}" for name, text in options.items())
+    if described := class_docstring(function, root):
+        docstring += f"\n\nIts class, {function.name.rpartition('.')[0]}:\n{described}"
     indented = "\n".join(f"    {line}".rstrip() for line in docstring.splitlines())
     decorators = "".join(f"@{ast.unparse(decorator)}\n" for decorator in node.decorator_list)
     arguments = ast.unparse(_PlainTypes().visit(copy.deepcopy(node.args)))
