@@ -46,9 +46,9 @@ class VerdictEvidence:
             correlated in time. Only for a log slower than its controller.
         reduction_by_chance: Value of `reduction` that effects which do not exist hardly ever reach.
         voltages_known: Whether the log contains all voltages.
-        predicted: Chi-squared per sample of predictions, relative to what noise and unknown voltages cause:
-            the larger value of the widest observer and the one that judges effects. Only for a log slower
-            than its controller, if no effect is named.
+        predicted: Squared error of predictions / that of an exact machine, which noise and unknown voltages
+            cause: the larger value of the widest observer and the one that judges effects. Only for a log
+            slower than its controller, if no effect is named.
         unstable: Evidence about the motion if it is unstable; None if it is stable or only noise is left.
     """
 
@@ -170,8 +170,9 @@ def contradiction_of_no_effect(evidence: VerdictEvidence, criteria: SelectionCri
         motion, left = motion / left, 1.0  # an error that grew hides nothing; the noise may
     if not evidence.predicted < criteria.explained_chi2:
         return (
-            f"predictions of the held-out runs have a chi-squared per sample of {evidence.predicted:.3g}, "
-            f"and noise and the unknown voltages between the rows explain {criteria.explained_chi2:g} at most"
+            f"the squared error of predictions of the held-out runs is {evidence.predicted:.3g} times what "
+            "noise and the unknown voltages between the rows cause; "
+            f"up to {criteria.explained_chi2:g} times counts as explained"
         )
     beyond = error_beyond_noise(motion, left)
     if not beyond <= criteria.max_motion_error:

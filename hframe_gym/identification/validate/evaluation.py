@@ -40,6 +40,7 @@ from ..judge.verdict import (
     fault_of_fitted_runs,
     remaining,
 )
+from ..predict.exact_machine import expected_chi2
 from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, innovation_variance
 from ..predict.start_uncertainty import prediction_residuals
 from ..predict.voltage_errors import simulation_error, with_voltage_errors
@@ -490,10 +491,12 @@ def _evidence(evaluated: Evaluated, differing: Sequence[str]) -> VerdictEvidence
 
 
 def _predicted(evaluated: Evaluated, held_out: Dataset, *bandwidths: float) -> float:
-    """Return chi-squared per sample of the predictions, the largest one of some observers."""
+    """Return squared error of predictions / that of an exact machine, the largest one of some observers."""
+    machine = evaluated.after.machine
     return max(
-        prediction_cost(evaluated.after.machine, held_out, bandwidth, longest_step=POLISH_STEP)
+        prediction_cost(machine, held_out, bandwidth, longest_step=POLISH_STEP)
         / held_out.count
+        / expected_chi2(machine, held_out, bandwidth)
         for bandwidth in bandwidths
     )
 
