@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..dynamics import stiffness_matrix
 from ..machine import Machine
+from ..preparation.sensors.drive_off import drives_off
 from ..preparation.start.rest import count_resting_rows
 from ..recordings import Recording, bridge_blanks, peak_to_peak
-from .findings import Finding, Severity
+from .findings import Finding, Severity, channel_unit
 from .wiring import rigid_misfit, rigid_prediction
 
 _STUCK_AFTER = 0.1  # s; a channel that is constant for a shorter time is not stuck
@@ -76,6 +77,20 @@ def stuck_outputs(recordings: Sequence[Recording], machine: Machine) -> list[Fin
                 severity = "fault"
                 message = f"{stays}: stuck. Leave these cells empty, or delete the run"
             findings.append(Finding(severity, recording.name, sensor.channel, message))
+    return findings
+
+
+def check_drives_off(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
+    """Report, as advice, rests in which a position does not follow its set point."""
+    findings = []
+    for rest in drives_off(recordings, machine):
+        apart = f"{rest.apart:+.4g} {channel_unit(rest.sensor, machine)}"
+        message = (
+            f"rests in rows {rest.first + 1} to {rest.last + 1}, {apart} from where it rests at this "
+            f"{rest.command} otherwise: was the drive off? Identification does not use these rows; "
+            "begin the log when the drive is on"
+        )
+        findings.append(Finding("advice", rest.run, rest.sensor, message))
     return findings
 
 

@@ -18,6 +18,7 @@ from .dataset import Dataset, PreparedRecording
 from .forces.contradicted_sensors import without_contradictions
 from .forces.drive_signs import turned_coordinates, with_turned
 from .inputs.clock_voltages import clock_voltages
+from .sensors.drive_off import without_drives_off
 from .sensors.noise import independent_values, sensor_noise, sensor_quantum
 from .sensors.saturation import Range, without_saturated
 from .sensors.unmeasured_positions import without_unmeasured_positions
@@ -83,6 +84,13 @@ def prepare_session(recordings: Sequence[Recording], machine: Machine, log: Line
             log(f"{before.name}: begins with its first measurement; rows not used: {count}")
     recordings = begun
     session = _prepared(recordings, machine, log)._replace(statements=statements)
+    followed, off = without_drives_off(session.usable, machine)
+    for rest in off:
+        rows = f"rows {rest.first + 1} to {rest.last + 1}"
+        log(f"{rest.run}: {rest.sensor} does not follow {rest.command} in {rows}, which are not used")
+    if off:
+        recordings = [from_first_measurement(recording, machine) for recording in followed]
+        session = _prepared(recordings, machine, log)._replace(statements=statements)
     consistent, contradictions = without_contradictions(session.usable, session.data.runs, machine)
     if contradictions:
         for statement in contradictions:
