@@ -113,7 +113,7 @@ def _from_common_line(commands: Array, positions: Array, span: float) -> Array:
         if not 1.0 / _LARGEST_GAIN < gain < _LARGEST_GAIN:
             continue
         distance = positions - positions[first] - gain * (commands - commands[first])
-        agreeing = np.count_nonzero(np.abs(distance) < _AGREES * span)
+        agreeing = float(np.count_nonzero(np.abs(distance) < _AGREES * span))
         if agreeing > best:
             best, apart = agreeing, distance
     return apart
