@@ -15,8 +15,8 @@ def update_average(average: Any, trained: Any, averaging: float, updates: int) -
     Args:
         average: Module of torch whose weights are the average; modified.
         trained: Module with the same weights by name, as the last update left them.
-        averaging: Fraction of the average that remains, 0 to below 1. At the beginning it is smaller, so that
-            the average forgets the first weights.
+        averaging: Fraction of the average that remains, 0 to below 1. It is at most `updates` / (`updates` +
+            9), so that the average forgets the first weights.
         updates: Number of the update, from 1.
     """
     kept = min(averaging, updates / (updates + HALF_KEPT_AFTER))

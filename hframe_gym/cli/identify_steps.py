@@ -65,6 +65,9 @@ def check_recordings_before_fit(
         log: Called with a line of text for every group of similar faults, and for the number of other
             findings.
 
+    Returns:
+        All findings of `check_before_fit`, not grouped.
+
     Raises:
         InputError: If there is a fault and `refuse` is given.
     """

@@ -26,8 +26,9 @@ def check_period(period: float) -> float:
 def shorter_period(machine: Machine, period: float) -> float | None:
     """Suggest a shorter control period, s, if a machine's belt modes are all above half the control rate.
 
-    It is 1, 2 or 5 times a power of ten. A sampled controller cannot observe or damp a vibration above half
-    its rate (Nyquist frequency). None if the `period`, s, suffices or no belt vibrates.
+    A sampled controller cannot observe or damp a vibration above half its rate (Nyquist frequency). The
+    suggestion is the longest period of 1, 2 or 5 times a power of ten that is at most a quarter of the period
+    of the slowest belt mode. None if the `period`, s, suffices or no belt vibrates.
     """
     modes = belt_modes(machine)
     if not modes or modes[0] <= 0.5 / period:

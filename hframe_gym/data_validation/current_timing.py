@@ -25,9 +25,10 @@ def check_currents(recordings: Sequence[Recording], machine: Machine) -> list[Fi
     """Report currents that respond to the voltage of their own row, which acts only afterwards.
 
     Changes of the current are regressed on the changes of its drive's voltage in the same row and in the four
-    rows before. Changes of the speed, and thus of the back-EMF, are small from row to row. A controller that
-    computes the voltage from the current of the same row makes them depend on each other with the opposite
-    sign, which is not reported.
+    rows before. Reported is a response to the own row that is larger than each of the others, and that chance
+    would give with a probability of less than 1e-6. Changes of the speed, and thus of the back-EMF, are small
+    from row to row. A controller that computes the voltage from the current of the same row makes them depend
+    on each other with the opposite sign, which is not reported.
 
     Returns:
         Advice, one for each sensor: a controller that is faster than the log has the same consequence, so

@@ -60,14 +60,20 @@ class _MeasuredMotion:
 def check_excitation(recordings: Sequence[Recording], data: Dataset, machine: Machine) -> list[Finding]:
     """Check whether inputs and motion are rich enough for identification.
 
-    The checks cover constant inputs, inputs above the rated voltage, drive force relative to Coulomb
-    friction, travel relative to the declared range, motion in both directions and at low speed, and the
-    spectrum of the inputs relative to the lowest natural frequency of the belts.
+    Advice is given where
+
+    - an input is constant in a run, or exceeds 1.2 times the rated value;
+    - the drive force along a rigid motion does not exceed the Coulomb friction in both directions;
+    - a coordinate travels through less than 30 % or more than 105 % of its declared range;
+    - less than 15 % of its motion is in one of the directions, or less than 5 % is slower than a tenth of its
+      top speed;
+    - less than 0.1 % of the power of an input is above 0.7 times the lowest natural frequency of the belts.
+
+    In other cases, notes state force, travel, speeds and spectrum.
 
     Returns:
-        Findings (severity, run, channel, message): "advice" where the excitation is insufficient, or exceeds
-        the rated voltage or the declared range; "note" where it suffices. A finding about a constant input
-        names its run; each of the others concerns all runs together.
+        Findings (severity, run, channel, message). A finding about a constant input names its run; each of
+        the others concerns all runs together.
     """
     findings = constant_inputs(recordings, machine) + _overvoltage(recordings, machine)
     if rigid_motions(machine):

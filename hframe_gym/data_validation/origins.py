@@ -21,8 +21,9 @@ _APART = 0.05  # fraction of the travel by which a run must end elsewhere than i
 def check_origins(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
     """Report, as notes, encoders that begin at 0 in each run although the machine stopped elsewhere before.
 
-    Encoders beside a sensor with a fixed zero, and those of machines with belts, whose zeros are found, are
-    not reported.
+    That is so if a run ends by more than 5 % of the encoder's largest travel away from 0. Fewer than three
+    runs, encoders beside a sensor with a fixed zero, and those of machines with belts, whose zeros are found,
+    are not checked.
     """
     if machine.belts or len(recordings) < _MIN_RUNS:
         return []

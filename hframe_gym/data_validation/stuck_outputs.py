@@ -39,9 +39,10 @@ def stuck_outputs(recordings: Sequence[Recording], machine: Machine) -> list[Fin
 
     - The other channels show that its coordinate moves.
     - The sensor has noise at rest, so that its measurements are never constant.
-    - Its drive pushes the coordinate in both directions with several times the friction force. This reason
-      counts only for machines without belts, springs and drives that follow a set point, and only if no other
-      channels determine the motion of the coordinate.
+    - Its drive pushes the coordinate in both directions, each in at least a tenth of the interval, with more
+      than five times the Coulomb friction and a fifth of the rated force. This reason counts only for
+      machines without belts, springs and drives that follow a set point, and only if no other channels
+      determine the motion of the coordinate.
 
     The finding is a fault, but advice in two cases: for the third reason, because the drive may have been
     off; and if a sensor with a fixed zero (no incremental encoder) stays at the smallest or largest value of

@@ -212,7 +212,12 @@ class Game:
         self._due = 0.0
 
     def handle(self, event: Any) -> None:
-        """React to a pygame event: keys and mouse set voltages or targets, restart, pause or end the game."""
+        """React to a pygame event of a key, of the mouse or of the window.
+
+        Arrow keys, Shift and the left button change `action`. The right button begins an episode with the
+        pointer as the target. N begins a new episode, R repeats it, Space pauses. Q, Escape and closing the
+        window end the game.
+        """
         pygame = self._pygame
         if event.type == pygame.QUIT:
             self.done = True
@@ -317,7 +322,11 @@ class Game:
             self.window.blit(self._small.render(text, True, INK), (center + half + 10, row + 1))
 
     def run(self, frames: int | None = None) -> None:
-        """Handle events, simulate and draw, 50 times per second, until the user ends the game."""
+        """Handle events, simulate and draw, 50 times per second, until the user ends the game.
+
+        Args:
+            frames: Number of frames after which the game ends at the latest. Default: any number.
+        """
         clock, count = self._pygame.time.Clock(), 0
         while not self.done and (frames is None or count < frames):
             for event in self._pygame.event.get():

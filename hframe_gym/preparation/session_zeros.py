@@ -71,7 +71,8 @@ def refine_encoder_zeros(data: Dataset, machine: Machine, reference: Dataset | N
     """Copy a data set, with zeros of the encoders corrected by a fitted machine.
 
     `prepare` estimates zeros as if the belts were unstretched at rest. The effects of the fitted machine give
-    the forces that stretch the belts at rest; this stretch is the error of the zeros.
+    the forces that stretch the belts at rest; this stretch is the error of the zeros. If the motion of the
+    runs has already corrected the zeros of the reference (`EncoderZeros.by_motion`), those are used instead.
 
     Args:
         data: Data set to correct (times, voltages, measurements, SI).

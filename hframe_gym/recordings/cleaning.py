@@ -98,8 +98,9 @@ def comparison_window(outputs: Measurements, time_s: Times, shortest: float) -> 
         shortest: Smallest length of the window, s; it is returned if all sensors measure often enough.
 
     Returns:
-        Length, s: the largest of `shortest` and the typical measuring intervals of the channels. An interval
-        of more than 0.25 s is ignored; windows then need not contain a measurement of that channel.
+        Length, s: the largest of `shortest` and, of each channel, the 95th percentile of the times between
+        its measurements, plus 1 %. If this exceeds 0.25 s, the channel is ignored; windows then need not
+        contain a measurement of it.
     """
     window = shortest
     for values in outputs.T:

@@ -203,8 +203,9 @@ def unwrapped(values: Array, modulus: float, time_s: Times) -> Array:
         modulus: Size of the jumps, in the unit of the values.
 
     Returns:
-        Copy that begins with the same value and has no jumps, NaN where the values are and in the rows
-        that belong to no angle (`_lost_rows`), shape (n,).
+        Copy that begins with the same value and has no jumps, shape (n,). NaN where the values are, and in
+        the rows that belong to no angle: measured while the sensor jumped from one end to the other, or while
+        it rested at an end before or after nearly every jump.
     """
     result = np.where(_lost_rows(values), np.nan, values)
     measured = np.isfinite(result)
@@ -235,6 +236,9 @@ def _speed_around(changes: Array, steps: Array, gaps: NDArray[np.int_]) -> Array
 
 def wraps_of(recording: Recording, machine: Machine) -> dict[str, Wrap]:
     """Recognize the output channels of a recording that wrap.
+
+    A sensor that measures within one turn (`Sensor.turn`) wraps where it jumps by more than half of it. Of
+    other sensors of positions, `find_wrap` decides, with the usual turns and counters (`known_moduli`).
 
     Returns:
         Wrap, in the unit of the sensor, by channel; channels that do not wrap are missing.

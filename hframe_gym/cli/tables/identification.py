@@ -58,7 +58,9 @@ def identification_table(report: Report) -> Table:
 
 
 def effect_lines(report: Report) -> list[str]:
-    """Describe the identified effects with their parameters, one line each, by decreasing gain.
+    """Describe the identified effects with their parameters, one line each.
+
+    The effect that reduces the error on the held-out runs most comes first (`held_out_gain`).
 
     Returns:
         Lines such as "stribeck friction at x: dF = 2.8393 +- 0.0004 N, vs = 0.040011 +- 9.7e-06 m/s". Of a

@@ -251,7 +251,10 @@ def square(size: float) -> Polyline:
 
 
 def lissajous(size: float) -> Polyline:
-    """Create a figure 8, x = size / 2 sin(a), y = size / 2 sin(2 a), in equal segments; `size` in m."""
+    """Create a figure 8, x = size / 2 sin(a), y = size / 2 sin(2 a), of equal segments; `size` in m.
+
+    It has 8192 (`SEGMENTS`) straight segments and begins at the center, where a = 0.
+    """
     from scipy.interpolate import CubicSpline  # takes a tenth of a second, which a start without it saves
 
     angle = np.linspace(0.0, 2.0 * np.pi, 4 * SEGMENTS + 1)

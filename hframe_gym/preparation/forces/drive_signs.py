@@ -58,6 +58,8 @@ def turned_coordinates(machine: Machine, runs: Sequence[PreparedRecording]) -> t
 def with_turned(machine: Machine, coordinates: Sequence[str]) -> Machine:
     """Return a copy of a machine in which the sensors of some coordinates have the opposite sign.
 
+    Sensors that measure no direction of the motion keep theirs.
+
     Args:
         coordinates: Names of the coordinates, as `turned_coordinates` finds them.
     """

@@ -19,6 +19,9 @@ _ROWS_PER_COEFFICIENT = 5  # rows that a regression needs
 def leading_motions(machine: Machine) -> Array:
     """Return the rigid motions of a machine, scaled so that the leading coordinate moves by 1.
 
+    They are those of `rigid_motions`. A machine of pulleys only has none of these; there, the coordinate that
+    moves most leads each motion of `rigid_basis`.
+
     Returns:
         Motions, shape (motions, coordinates); no rows if there is none.
     """

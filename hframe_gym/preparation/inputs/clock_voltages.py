@@ -68,8 +68,9 @@ class ClockVoltages(NamedTuple):
 def clock_voltages(time_s: Array, inputs: Array, outputs: Array) -> ClockVoltages:
     """Estimate the changes of the voltages by the jitter of the controller's clock.
 
-    Reading late by d, the controller answers with h * speed * d, and this voltage lasts shorter by d: the
-    mean of the product is -h * speed * variance of d.
+    Reading late by d, the controller answers with h * speed * d, where h is the change of its voltage per
+    measured position, and this voltage lasts shorter by d: the mean of the product is -h * speed * variance
+    of d.
 
     Args:
         time_s: Times of the rows as stamped, s, shape (n,).

@@ -46,10 +46,12 @@ def representative_part(
 ) -> Dataset:
     """Return a representative part of the runs, for the search for effects.
 
-    Runs are added, each time the one that differs most from the runs before by the spectra of its voltages,
-    until they fill a session of normal size. Of each run, one contiguous part is kept whose voltages resemble
-    those of the complete run most; it is as long as the others permit, and short runs remain complete. A part
-    begins at rest if the machine rests anywhere.
+    Runs that move are added, each time the one that differs most from the runs before by the spectra of its
+    voltages, until they fill a session of normal size. The chosen runs are cut to one length
+    (`largest_share`), with which their sum has the permitted size; shorter runs remain complete. Of each cut
+    run, one contiguous part is kept, whose voltages resemble those of the complete run most. It may begin
+    with the run or every half part later; there it is put off to the next rest, if one follows within half a
+    part. Without a sensor of positions it begins with the run.
 
     Args:
         machine: Machine as declared.

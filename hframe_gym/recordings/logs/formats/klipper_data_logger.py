@@ -56,7 +56,10 @@ class KlipperDataLogs(LogFormat):
 
     @override
     def is_log(self, path: Path) -> bool:
-        """Return whether compressed JSON is a log, and not another file such as an index."""
+        """Return whether compressed JSON is a log, and not another file such as an index.
+
+        The messages of a log end with the byte 0x03, of which one must be in the beginning of the file.
+        """
         with open(path, "rb") as file:
             try:
                 return _END in zlib.decompressobj(31).decompress(file.read(_BLOCK))

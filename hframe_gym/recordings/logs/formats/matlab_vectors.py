@@ -289,8 +289,8 @@ def _simulink_signals(path: str, limit: int) -> dict[str, Any]:
 def main() -> None:
     """Read a MATLAB or HDF5 file and write its vectors and their names to an .npz file.
 
-    The command line gives the two paths and the limit. If the file cannot be read, the process ends with exit
-    code 2.
+    The command line gives the two paths and the largest size of an HDF5 file's arrays in memory, bytes. If
+    the file cannot be read or exceeds it, the process ends with exit code 2 and a message on standard error.
     """
     source, target, limit = sys.argv[1:]
     try:

@@ -113,7 +113,7 @@ class SysIdLogs(LogFormat):
 
     @override
     def is_log(self, path: Path) -> bool:
-        """Return whether a JSON file is a log, and not another file such as a machine."""
+        """Return whether a JSON file has rows of at least one test of SysId or frc-characterization."""
         try:
             text = read_document(path)
             return any(f'"{name}"' in text for name in TESTS) and _tests(read_json(path)) != {}
