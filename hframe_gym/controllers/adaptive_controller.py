@@ -139,9 +139,8 @@ class AdaptiveController(FullStateController):
         self._dead_time.reset(starts)
         self._elapsed_s = np.where(starts, 0.0, self._elapsed_s)
         midpoint, midpoint_s = 0.5 * (self._state + state), self._elapsed_s - 0.5 * self.period
-        effect_force = self.model.effect_force(midpoint, midpoint_s) + self.model.effect_friction(
-            midpoint, midpoint_s
-        )
+        mean_force = self.model.mean_effect_force(midpoint, midpoint_s, self.period)
+        effect_force = mean_force + self.model.effect_friction(midpoint, midpoint_s)
         volts = self._inversion.motor_voltage(self._dead_time.mean_arrived())
         self._filter.update(self._state, state, volts, effect_force, starts)
         self._state, self._elapsed_s = state, self._elapsed_s + self.period

@@ -38,6 +38,8 @@ GRID = (9, 7)  # operating points along x and y; the stiffness is within 5 % of 
 # m/s: the direction of compensated friction is tanh(v / FRICTION_COMPENSATION_SPEED). Far below the speeds of
 # a move, and far above what remains at its end, so that the voltage does not chatter with the sign of noise.
 FRICTION_COMPENSATION_SPEED = 0.02
+# Samples of a period that give the mean force of an effect: ten resolve teeth of 2 mm up to 1 m/s at 10 ms.
+_MEAN_SAMPLES = 10
 
 
 def axis_travel_per_unit(machine: Machine) -> Array:
@@ -247,6 +249,28 @@ class MotionModel:
         if not self._with_effects.machine.effects:
             return np.zeros((len(state), len(self.mass)))
         return _stack(self._balance(state, elapsed_s).forces, state)
+
+    def mean_effect_force(
+        self, middle: TravelStates, elapsed_s: ElapsedTimes, period: float
+    ) -> CoordinateForces:
+        """Compute the mean of `effect_force` over a control period that is passed at constant speed.
+
+        A voltage that is held can oppose no more than this mean. Teeth of a belt that pass at 150 Hz,
+        evaluated once in each period of 10 ms, look like a force of 50 Hz, which a feedforward would apply.
+
+        Args:
+            middle: States in the middle of the period.
+            elapsed_s: Times there.
+            period: Control period, s.
+        """
+        if not self._with_effects.machine.effects:
+            return np.zeros((len(middle), len(self.mass)))
+        n, count = len(self.mass), len(middle)
+        after_s = period * np.repeat((np.arange(_MEAN_SAMPLES) + 0.5) / _MEAN_SAMPLES - 0.5, count)
+        states = np.tile(middle, (_MEAN_SAMPLES, 1))
+        states[:, :n] += after_s[:, None] * states[:, n:]
+        forces = self.effect_force(states, np.tile(elapsed_s, _MEAN_SAMPLES) + after_s)
+        return np.asarray(forces.reshape(_MEAN_SAMPLES, count, n).mean(axis=0))
 
     def friction_force(self, state: TravelStates, elapsed_s: ElapsedTimes) -> CoordinateForces:
         """Compute the friction force -F tanh(v / (20 mm/s)) and the friction that effects add to it.

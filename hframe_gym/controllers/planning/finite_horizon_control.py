@@ -344,12 +344,10 @@ class PreviewTracker:
         midpoint = 0.5 * (goals[:, 1:] + goals[:, :-1])
         path = np.concatenate([midpoint @ model.rigid.T, velocity @ model.rigid.T], axis=2)  # (B, H, 2 n)
         path = path.reshape(len(state) * H, -1)
-        # Friction and effects are evaluated at the middle of each period on the goal's path with unstretched
-        # belts.
+        # On the goal's path with unstretched belts: friction in the middle of a period, effects in the mean.
         times = (elapsed_s[:, None] + self.period * (0.5 + np.arange(H))).ravel()
-        modeled = (model.friction_force(path, times) + model.effect_force(path, times)).reshape(
-            len(state), H, -1
-        )
+        effects = model.mean_effect_force(path, times, self.period)
+        modeled = (model.friction_force(path, times) + effects).reshape(len(state), H, -1)
         force = modeled + loads[:, :H] + self._disturbance[:, None]
         self._planned_force = force[:, 0]
         # The plan's first voltages: feedback of the state and the last voltages, feedforward of goals and

@@ -134,3 +134,15 @@ def test_friction_that_grows_with_the_drive_force_is_not_compensated(hframe):
     model = MotionModel(hframe.with_effects(EFFECTS["load_friction"].at("motor1", mu=0.3)))
     state = np.array([[0.0, 0.0, 0.0, 0.0, 0.2, 0.1, -0.3, 0.1]])
     np.testing.assert_array_equal(model.effect_friction(state, np.zeros(1)), np.zeros((1, 4)))
+
+
+def test_mean_force_of_teeth_is_that_of_the_whole_period(hframe: Machine) -> None:
+    """At 0.3 m/s, 1.5 teeth of 2 mm pass in a period of 10 ms."""
+    n, period, speed = 61.0, 0.01, 0.3 / RADIUS  # teeth a turn, s, rad/s
+    model = MotionModel(hframe.with_effects(EFFECTS["cogging"].at("motor1", A=0.03, n=n, p=0.5)))
+    middle = model.state({"observation": np.array([[0.0, 0.0, 2.0, 0.0, 0.0, 0.0, speed, 0.0]])})
+    turned = 0.5 * n * speed * period
+    mean = 0.03 * np.sin(n * 2.0 + 0.5) * np.sin(turned) / turned / RADIUS
+    force = model.mean_effect_force(middle, np.zeros(1), period)
+    np.testing.assert_allclose(force, [[0.0, 0.0, mean, 0.0]], rtol=0.05)
+    assert abs(mean) < 0.25 * np.abs(model.effect_force(middle, np.zeros(1))).max()
