@@ -290,8 +290,12 @@ def check_voltages_between_rows(data: Dataset, machine: Machine) -> list[Finding
     if updates.per_row == 1:
         return []
     interpolated = with_voltage_errors(held.machine, runs.with_updates(updates.per_row))
+    # Much is left: what the machine lacks may act as voltages do that come earlier.
+    explained = updates.fitted < SelectionCriteria().explained_chi2
+    beside = "" if explained else ", unless the machine lacks an effect, with which it asks again"
     message = (
-        f"{updates.describe(machine.commands_in_words, data.period)}: identification interpolates them; "
+        f"{updates.describe(machine.commands_in_words, data.period)}: "
+        f"identification interpolates them{beside}; "
         f"{describe_interpolation(held.machine, interpolated)}"
     )
     return [Finding("advice", "", "", message)]

@@ -23,6 +23,7 @@ from hframe_gym.identification.fit.voltage_updates import (
     VoltageUpdates,
     _changing_beside_delay,
     _delays_all_drives,
+    _held_after_all,
     _least_error,
     _with_delay,
     can_show_updates,
@@ -503,3 +504,23 @@ def test_a_sensor_that_measures_nothing_in_a_run_leaves_the_delay_to_other_runs(
     assert with_silent is not None
     assert without is not None
     assert with_silent.periods == pytest.approx(without.periods, abs=0.2 * without.deviation)
+
+
+@pytest.mark.parametrize(("rows", "expected"), [(1, 1), (4, None)])
+def test_smooth_set_points_are_held_if_the_effects_found_since_leave_no_other_sign(
+    rows: int, expected: int | None
+) -> None:
+    noise, servo = 3e-5, BUILTIN_MACHINES["servo"]()  # noise in rad
+    servo = servo.with_components(servo.sensors[0].with_values({"noise": noise, "resolution": 0.0}))
+    moving = servo.with_effects(EFFECTS["unbalance"].at(servo.coordinate_names[0], A=0.02, p=0.3))
+    period = 4e-3 / rows
+    time_s, logs = np.arange(3.0 / period) * period, []
+    for seed in range(3):
+        command = 0.5 * np.sin(2.0 * np.pi * (2.0 + 0.3 * seed) * time_s) * np.minimum(time_s, 1.0)
+        run = simulate(moving, time_s, command[:, None])
+        outputs = run.outputs + np.random.default_rng(seed).normal(0.0, noise, run.outputs.shape)
+        logs.append(every(Recording(f"run_{seed}", time_s, command[:, None], outputs), rows))
+    data = prepare(logs, servo).with_updates(4)
+    fitted = fit(moving, default_free_parameters(moving), data, SEARCH_BANDWIDTH)
+    updates = _held_after_all(fitted, with_voltage_errors(fitted.machine, data), SelectionCriteria())
+    assert (updates and updates.per_row) == expected
