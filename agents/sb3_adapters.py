@@ -220,7 +220,8 @@ def set_mean_action_to_zero(policy: Any) -> None:
 def random_state(model: Any) -> dict[str, Any]:
     """Return the states of all random generators that the training of a model uses, for a checkpoint.
 
-    Their names are "python", "numpy", "torch", "actions" (action space) and "algorithm".
+    Their names are "python", "numpy", "torch", "actions" (action space) and "algorithm": a list of the states
+    of the model's own `generators`, empty for the algorithms of stable-baselines3, which have none.
     """
     return {
         "python": random.getstate(),

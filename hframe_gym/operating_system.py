@@ -96,7 +96,11 @@ def user_folder(
 
 
 def own_group() -> dict[str, Any]:
-    """Return arguments of `subprocess.Popen` that let `interrupt` stop the new process but not this one."""
+    """Return arguments of `subprocess.Popen` that let `interrupt` stop the new process but not this one.
+
+    On Windows, they create a process group for it; on other systems, they change nothing, because the
+    signal of `interrupt` reaches only the new process there.
+    """
     return {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)}
 
 

@@ -30,6 +30,10 @@ class KlipperExporter(InputShaperExporter):
     def files(self, machine: Machine) -> Files:
         """Write input_shaper.cfg, a section of printer.cfg, and input_shaper.csv, impulses of all shapers.
 
+        The section states, for each axis, the type `shaper`, the frequency in Hz and the damping ratio, with
+        the tool at the position `at` (default: the center). The columns of the table are axis, shaper, time_s
+        and amplitude (fraction of the move).
+
         Raises:
             InputError: If the carriage does not vibrate along an axis.
         """

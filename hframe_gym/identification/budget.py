@@ -211,13 +211,14 @@ class Budget:
         return min(max(self.seconds / DEFAULT_SECONDS, _LEAST_SESSION_PART), 1.0)
 
     def has_time(self, part: float) -> bool:
-        """Return whether less than a part of the budget is used, so that a stage may begin.
+        """Return whether less than a fraction of the budget is used, so that a stage may begin.
 
         After an interruption by the user, it is False.
 
         Args:
-            part: Fraction of the budget, dimensionless. A time for the end of the identification (`reserve`)
-                shortens all parts alike.
+            part: Fraction of the budget, dimensionless. If more than a tenth of the budget is reserved for
+                what follows the last stage (`reserve`), it is a fraction of (budget - reserved time) / 0.9
+                instead: the last stage then ends, at 0.9, when the reserved time begins.
         """
         return not self.interrupted and self.spent < self._end(part)
 

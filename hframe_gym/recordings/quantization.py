@@ -50,9 +50,11 @@ def exact_quantum(values: Array, declared: float = 0.0) -> float:
         declared: Declared resolution, in the unit of the values; 0 if there is none.
 
     Returns:
-        Step of which the differences of nearly all values are integer multiples, in their unit; 0 if there is
-        none. The declared resolution is tried first, then the smallest differences of the values. In fast
-        motion, no two successive values differ by one step, but values from other rows do.
+        Step of which the differences from the lowest value are integer multiples, to a tenth of the step and
+        for more than 95 % of the different values, in their unit; 0 if there is none, or if there are fewer
+        than 10 different values. The fit starts from the declared resolution. If that yields no step, it
+        starts from the smallest changes between successive rows, and then from the smallest differences
+        between any rows, because in fast motion no two successive values differ by a single step.
     """
     levels = np.unique(values[np.isfinite(values)])
     if len(levels) < _MIN_STEPS:

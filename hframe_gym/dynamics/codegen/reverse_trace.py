@@ -101,7 +101,12 @@ class ReverseTrace(Trace):
 
     @override
     def node(self, operation: str, *operands: Any) -> Expression:
-        """Return the expression of an operation, as in `Trace`; formulas of friction are expanded."""
+        """Return the expression of an operation, as in `Trace`; formulas of friction are expanded.
+
+        `direction`, `friction_force` and `update_speed` (`physics.friction`), each of which is one operation
+        in a `Trace`, become the operations of their formulas, whose derivatives are known. `static_friction`
+        remains one operation, with the derivative that the argument `friction` chooses.
+        """
         if operation in _EXPANDED:
             value: Expression = _EXPANDED[operation](*operands)
             return value

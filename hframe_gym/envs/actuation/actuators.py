@@ -106,12 +106,12 @@ ActuatorsLike: TypeAlias = Literal["ideal", "rig", "machine"] | Actuators
 def with_actuators(machine: Machine, drives: ActuatorsLike) -> Machine:
     """Return a copy of a machine with converters, current limits and dead time of an environment.
 
-    The machine keeps a dead time that it already has, and a current limit that is smaller than that of
-    `drives`.
+    The converters replace those of the machine. The machine keeps a dead time that it already has, and a
+    current limit that is smaller than that of `drives`.
 
     Args:
-        drives: What to add: `Actuators`, or a name of `ACTUATOR_PRESETS`. With "machine", nothing is added,
-            and the machine itself is returned.
+        drives: What to add: `Actuators`, or a name of `ACTUATOR_PRESETS`. With "machine", nothing is added or
+            replaced, and the machine itself is returned.
 
     Raises:
         InputError: If `drives` is invalid, or both the machine and `drives` have a dead time.

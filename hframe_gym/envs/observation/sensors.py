@@ -142,7 +142,7 @@ class Sensors(SensorSuite):
 
     @override
     def observed(self, machine: Machine) -> tuple[Sensor, ...]:
-        """Select the lasers on the tool's axes, then the encoders, as the sensors of the observation."""
+        """Select the sensors that `apply` has set: by tool axis the lasers, then by drive the encoders."""
         lasers = machine.tool_axes if self.lasers is not None else ()
         encoders = tuple(d.coordinate for d in machine.drives) if self.encoders is not None else ()
         return tuple(

@@ -222,7 +222,8 @@ class RuleSampler:
             (such as friction or noise) for which an unbounded distribution yields a negative value.
 
         Raises:
-            InputError: If an unbounded distribution yields a value outside the limits of another parameter.
+            InputError: If an unbounded distribution yields a value beyond a limit to which the parameter is
+                not clipped, such as the upper limit of one that is clipped at 0.
         """
         values = np.empty((len(uniforms), base.shape[1]))
         values[:] = base
@@ -334,9 +335,12 @@ class MachineSampler:
         return values[:, self.columns] / np.where(nominal == 0.0, 1.0, nominal)
 
     def normalized_bounds(self) -> dict[str, tuple[float, float]]:
-        """Compute the smallest and the largest values that `normalized` can return, by full name.
+        """Compute the smallest and the largest values of the randomized parameters, as `normalized` has them.
 
-        They are always finite, because the uniform numbers exclude 0 and 1.
+        Returns:
+            Both as fractions of the nominal value, dimensionless (SI if the nominal value is 0), by full name
+            of the parameter, in the order of `names`. They are always finite, because the uniform numbers
+            exclude 0 and 1.
         """
         edges = np.sort(self.normalized(np.stack([self.low, self.high])), axis=0)
         return {name: (low, high) for name, (low, high) in zip(self.names, edges.T.tolist(), strict=True)}

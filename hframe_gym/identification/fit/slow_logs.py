@@ -332,19 +332,21 @@ def _between(by_squares: Fit, by_instruments: _Estimate, weight: float) -> _Esti
 
 
 def deviations_of_fits(fitted: Fit, data: Dataset) -> Array:
-    """Return the deviations of theta in other fits that should agree, which weigh fast errors differently.
+    """Return how far other fits, which weigh fast errors differently, deviate from the delivered one.
 
-    These are least-squares fits with the largest and the smallest observer bandwidth for such a log, and a
-    fit by instrumental variables. They differ from the delivered fit only by chance if the voltages between
-    the rows have the assumed errors.
+    If the errors of the voltages between the rows are as assumed, the fits differ only by chance. They are
+    least-squares fits with observer bandwidths of 60 and of 15 rad/s (the largest and the smallest for a log
+    slower than its controller) and a fit by instrumental variables, if it converges in time and the runs have
+    enough rows for it.
 
     Args:
         fitted: Delivered fit of k parameters.
         data: Runs that were fitted.
 
     Returns:
-        Deviations of m fits, shape (m, k). There are no fits if the voltages are held, nothing was fitted
-        (the declared machine is delivered) or no time is left.
+        `Fit.theta` of each other fit minus that of `fitted`, dimensionless, shape (m, k). m is 0 if the
+        voltages are held, nothing was fitted (the declared machine is delivered), or the time of the stage
+        ends before both least-squares fits have converged; otherwise it is 2 or, with instruments, 3.
     """
     deviations = list[Array]()
     if data.has_voltage_errors and fitted.free:

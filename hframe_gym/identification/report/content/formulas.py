@@ -158,7 +158,8 @@ class TableComparison:
         fitted: Error of the machine with the table on the fitted runs, in units of the sensor noise (root of
             chi-squared per sample).
         held_out: Root-mean-square error of the held-out runs that the machine with the table simulates, by
-            channel, in units of the sensor noise.
+            channel, in units of the sensor noise. Channels that are not measured, or whose simulation
+            diverges, are left out.
         formulas: Formulas by increasing number of parameters, with their errors.
     """
 
@@ -169,7 +170,7 @@ class TableComparison:
 
     @property
     def mean_noise_ratio(self) -> float:
-        """Mean over channels of rms error / noise with the table, dimensionless, on held-out runs."""
+        """Mean over `held_out` of the errors with the table, in units of the noise; NaN if it is empty."""
         return mean_error(self.held_out)
 
     def as_entry(self) -> document.TableOfFormulas:

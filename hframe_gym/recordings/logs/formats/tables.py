@@ -80,6 +80,9 @@ def table_in_memory(names: Sequence[str], name: str, time_s: Array, values: Sequ
 def log_of_tables(path: Path, tables: Sequence[TimedTable], remarks: tuple[str, ...], part: str = "") -> Log:
     """Build a log from several tables, each of which has its own times.
 
+    Of columns with the same header, in one or in several tables, all but the first get a number: "x", "x.2",
+    "x.3".
+
     When columns are read, the rows of each table are sorted by time, and of rows with equal times the last is
     kept.
 
