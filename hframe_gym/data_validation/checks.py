@@ -47,7 +47,7 @@ from .sampling import (
 )
 from .scales import check_scales
 from .speeds import check_computed_speeds, check_speeds, check_speeds_in_parts
-from .starts import check_starts
+from .starts import check_power, check_starts
 from .stuck_outputs import NOISE_SPAN, check_drives_off, stuck_outputs
 from .swapped_drives import check_swapped_currents, check_swapped_set_points
 from .wiring import check_wiring
@@ -189,7 +189,7 @@ def _faults_and_advice(
     moved = [recording for recording in cleaned if recording.name in moving]
     findings += check_rates(moved) + check_inputs_of_runs(data.with_runs(moving), machine)
     findings += _position_checks(moved, data, machine) + check_speeds(moved, machine)
-    findings += check_drives_off(moved, machine)
+    findings += check_drives_off(moved, machine) + check_power(moved, data, machine)
     findings += check_speeds_in_parts(moved, machine) + check_computed_speeds(moved, machine)
     if not any(finding.severity == "fault" for finding in findings):
         findings += check_swapped_set_points(data.with_runs(moving).runs, machine)

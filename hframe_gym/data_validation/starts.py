@@ -1,4 +1,6 @@
-"""Find runs in which a machine starts from rest against its drive: a command without or with a wrong sign.
+"""Find starts from rest that contradict the commands: against the drive, or none although it pushes.
+
+A start against the drive shows a command without a sign or with the wrong one.
 
 Where a machine rests without a command, friction holds all other forces, so that no command can start it in
 the other direction. Springs and weights, which the machine file may lack, do not matter then. In a steady
@@ -15,6 +17,7 @@ import numpy as np
 from ..arrays import Array, Times
 from ..identification import Dataset
 from ..machine import Machine
+from ..preparation.runs.without_power import without_power
 from ..recordings import Recording, peak_to_peak
 from .findings import Finding
 from .stuck_outputs import NOISE_SPAN
@@ -26,6 +29,25 @@ _STARTED = 0.1
 # Of a run's starts. A log without signs of a machine that moves to and fro has half of them against the
 # command; fewer may be pushes by hand.
 _AGAINST = 0.5
+
+
+def check_power(recordings: Sequence[Recording], data: Dataset, machine: Machine) -> list[Finding]:
+    """Report, as advice, beginnings and ends of runs in which commands have no effect.
+
+    Args:
+        recordings: Runs without outliers in which something moves, at least one.
+        data: All runs prepared for a fit, for the noise of the sensors.
+        machine: Machine as declared.
+    """
+    findings = []
+    for part in without_power(recordings, data.noise, data.quantum, machine):
+        message = (
+            f"does not move {part.coordinate} in rows {part.first + 1} to {part.last + 1} ({part.pushes} "
+            "starts), although no larger command starts it elsewhere: was the amplifier off? Identification "
+            "does not use these rows; cut the log there (hframe import FILE --cut FROM:TO)"
+        )
+        findings.append(Finding("advice", part.run, " and ".join(part.commands), message))
+    return findings
 
 
 class Start(NamedTuple):

@@ -18,6 +18,7 @@ from .dataset import Dataset, PreparedRecording
 from .forces.contradicted_sensors import without_contradictions
 from .forces.drive_signs import turned_coordinates, with_turned
 from .inputs.clock_voltages import clock_voltages
+from .runs.without_power import with_power, without_power
 from .sensors.drive_off import without_drives_off
 from .sensors.noise import independent_values, sensor_noise, sensor_quantum
 from .sensors.saturation import Range, without_saturated
@@ -90,6 +91,13 @@ def prepare_session(recordings: Sequence[Recording], machine: Machine, log: Line
         log(f"{rest.run}: {rest.sensor} does not follow {rest.command} in {rows}, which are not used")
     if off:
         recordings = [from_first_measurement(recording, machine) for recording in followed]
+        session = _prepared(recordings, machine, log)._replace(statements=statements)
+    dead = without_power(session.usable, session.data.noise, session.data.quantum, machine)
+    for part in dead:
+        rows = f"rows {part.first + 1} to {part.last + 1}"
+        log(f"{part.run}: {' and '.join(part.commands)} without effect in {rows}, which are not used")
+    if dead:
+        recordings = with_power(recordings, dead)
         session = _prepared(recordings, machine, log)._replace(statements=statements)
     consistent, contradictions = without_contradictions(session.usable, session.data.runs, machine)
     if contradictions:

@@ -1,0 +1,71 @@
+"""Beginnings and ends of runs in which commands have no effect."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hframe_gym.arrays import Array
+from hframe_gym.data_validation import check_before_fit
+from hframe_gym.dynamics import simulate
+from hframe_gym.machine import BUILTIN_MACHINES, Machine, Sensor
+from hframe_gym.preparation.runs.without_power import without_power
+from hframe_gym.preparation.session import prepare_session
+from hframe_gym.recordings import Recording
+
+PULSE = 25  # rows of 20 ms
+
+
+def motor(kind: str = "encoder") -> Machine:
+    """Return a motor with an encoder of 12 bits or a tachometer."""
+    if kind == "speed":
+        sensor = Sensor("speed_rad_s", {"shaft": 1.0}, noise=0.1, kind="speed")
+    else:
+        sensor = Sensor("angle_rad", {"shaft": 1.0}, resolution=2.0 * np.pi / 4096, kind="encoder")
+    return BUILTIN_MACHINES["motor"]().replace(sensors=(sensor,))
+
+
+def run(machine: Machine, powered: tuple[bool, ...]) -> Recording:
+    """Return a run with a pulse of 4 V and a pause of 0.5 s each; without power it has no effect."""
+    volts = np.tile(np.repeat([0.0, 4.0, 0.0], PULSE), len(powered))[:, None]
+    acting = volts * np.repeat(powered, 3 * PULSE)[:, None]
+    time_s = 0.02 * np.arange(len(volts))
+    outputs: Array = simulate(machine, time_s, acting).outputs
+    sensor = machine.sensors[0]
+    if sensor.noise:
+        outputs = outputs + sensor.noise * np.random.default_rng(0).normal(size=outputs.shape)
+    else:
+        outputs = sensor.resolution * np.rint(outputs / sensor.resolution)
+    return Recording("run", time_s, volts, outputs)
+
+
+@pytest.mark.parametrize("kind", ["encoder", "speed"])
+def test_beginnings_and_ends_without_power_are_not_used(kind: str) -> None:
+    machine = motor(kind)
+    recorded = run(machine, (False,) * 3 + (True,) * 4 + (False,) * 2)
+    findings = [f for f in check_before_fit([recorded], machine) if "amplifier off" in f.message]
+    last = 2 * 3 * PULSE + 2 * PULSE  # end of the third pulse
+    first = 7 * 3 * PULSE + PULSE  # begin of the eighth one
+    assert [finding.severity for finding in findings] == ["advice"] * 2
+    assert f"rows 1 to {last} (3 starts)" in findings[0].message
+    assert f"rows {first + 1} to {len(recorded.time_s)} (2 starts)" in findings[1].message
+    [prepared] = prepare_session([recorded], machine, lambda _: None).data.runs
+    assert prepared.time_s[0] == pytest.approx(recorded.time_s[last])
+    assert prepared.time_s[-1] == pytest.approx(recorded.time_s[first - 1])
+
+
+@pytest.mark.parametrize(
+    "powered",
+    [
+        (True,) * 4,
+        (False, True, True, True),
+        (False, False, True, False, True, True),
+        (False, False, False, True),
+    ],
+)
+def test_stiction_is_no_lack_of_power(powered: tuple[bool, ...]) -> None:
+    """One failed start, some between others, and a single start that succeeds prove nothing."""
+    machine = motor()
+    data = prepare_session([run(machine, powered)], machine, lambda _: None).data
+    recordings = [run(machine, powered)]
+    assert without_power(recordings, data.noise, data.quantum, machine) == []
