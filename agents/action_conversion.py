@@ -59,14 +59,19 @@ class ActionConversion:
         return _each_period(actions, self._inverse)
 
     def gains(self, gains: dict[str, list[list[float]]]) -> dict[str, list[list[float]]]:
-        """Convert gains from observations to voltages (`feature_parameters`) to the machine of the training.
+        """Convert the gains of model-based controllers to those for the machine of the training.
+
+        The gains are matrices from the entries of an observation to actions, as `feature_parameters` returns
+        them; the features of a policy contain these actions.
 
         Args:
-            gains: Gains of the machine that is controlled, by key of the observation, nested lists of shape
-                (voltages, entries of the key).
+            gains: Matrices for the machine that is controlled, by key of the observation, nested lists of
+                shape (controllers * drives, entries of the key): all drives' actions (fractions of the rated
+                voltages) by the first controller, then those by the next one.
 
         Returns:
-            Gains of the same shapes, which give voltages of the machine of the training.
+            Matrices of the same shapes, which give actions of the machine of the training. The one of
+            "last_action" also expects the last action as that of the machine of the training.
         """
         converted = {key: self.to_training(np.transpose(values)).T for key, values in gains.items()}
         if "last_action" in converted:  # which the policy observes in voltages of the training as well

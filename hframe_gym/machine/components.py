@@ -204,7 +204,7 @@ class Drive(Component):
     @property
     @override
     def parameter_names(self) -> tuple[str, ...]:
-        """Names of the parameters that can be identified or randomized; the kind determines them."""
+        """Names of those parameters that a drive of its kind has, such as "Kt", then those of its law."""
         fixed = DRIVE_KINDS.get(self.kind).fixed
         of_motor = [name for name in super().parameter_names if name not in fixed]
         return (*of_motor, *self.law_parameters)

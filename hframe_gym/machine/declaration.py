@@ -244,7 +244,7 @@ class Component:
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
-        """Names of the parameters that can be identified or randomized."""
+        """Names of the parameters that can be identified or randomized, without the label, such as "mass"."""
         return self.names("parameter")
 
     @property

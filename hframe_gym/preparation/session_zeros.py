@@ -28,17 +28,20 @@ def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quan
     """Find the encoders that kept their zero in all runs of a session.
 
     An encoder on a pulley kept its zero if the standard deviation of the zero from run to run is below the
-    belt stretch that static friction can maintain, or below two quantization steps. The zeros of an encoder
-    that was switched on anew for every run differ by far more.
+    belt stretch that static friction can maintain (`max_held_angle`), or below two quantization steps. It is
+    computed from the median of the deviations, which single runs hardly change. The zeros of an encoder that
+    was switched on anew for every run differ by far more. If at least three runs measure their position at
+    rest, only these are used.
 
     Args:
         initial: Initial states of the runs, each estimated with unknown zeros.
         machine: Machine as declared.
 
     Returns:
-        Median over the runs of the zero of each such encoder, in the sensors' units, shape (sensors,), NaN
-        for all other sensors, and its standard deviation from run to run. With fewer than three runs or
-        without belts: the zeros that the machine declares.
+        For each such encoder, the median over the runs and, as `spread`, the standard deviation without
+        runs that deviate too far to have kept the zero, or 0 if it is at most a quantization step or 0.1
+        mrad. The zeros of all other sensors are unknown, also where the machine declares them. With fewer
+        than three runs or without belts: the zeros that the machine declares.
     """
     zeros = EncoderZeros.of_machine(machine)
     if not machine.belts or len(initial) < _MIN_RUNS_FOR_ZERO:

@@ -91,7 +91,8 @@ class ActuatorModel:
         """Compute the motor voltages of a control period for blocks first to last - 1, into `inputs`.
 
         An action is multiplied by the drive's rated voltage and rounded and limited by its D/A converter. A
-        drive with a dead time gets the result that much later.
+        drive with a dead time gets the result exactly that much later, as the mean of each integration step
+        if it arrives within one.
 
         Args:
             actions: Voltages as fractions of the rated voltages, shape (environments, drives); limited to

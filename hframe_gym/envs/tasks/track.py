@@ -271,19 +271,20 @@ class Track(Task):
 def arc_lengths(plan: Any, elapsed_s: Any, lead_s: float, length: float) -> Any:
     """Compute the arc lengths of the goals of n episodes along their paths at m times each.
 
-    A goal starts at rest and reaches its speed after `lead_s`. On an open path it slows down in the same way
-    and stays at the end; its speed is limited to length / lead_s.
+    A goal starts at rest and reaches its speed after `lead_s`, by the cubic of `curves.traveled`. On an open
+    path it slows down in the same way and stays at the end; its speed is limited to length / lead_s.
 
     Args:
         plan: Path of each episode, shape (n, 4 + axes). The last three columns are used: direction (+1 or
-            -1), arc length at the start (m) and speed (m/s).
+            -1; with -1 the arc length falls), arc length at the start (m) and speed (m/s). On an open path,
+            the direction is +1 and the start 0.
         elapsed_s: Times since the reset, s, not negative, shape (n, m).
         lead_s: Duration of the speed-up and of the slow-down, s, positive.
         length: Length of the path, m; infinite for a closed path.
 
     Returns:
-        Arc lengths from the start of the path, m, shape (n, m); they are not limited to one lap of a closed
-        path.
+        Arc lengths from the beginning of the path, m, shape (n, m); they are not limited to one lap of a
+        closed path, and may be negative.
     """
     out = np.empty(elapsed_s.shape)
     for i in range(elapsed_s.shape[0]):

@@ -119,7 +119,7 @@ class RunDifferences(NamedTuple):
 
     @property
     def drifts(self) -> bool:
-        """Whether the amounts only rise, or only fall, from run to run, as in a slow change."""
+        """Whether the amounts only rise or only fall, but for steps back of less than 5 % of their range."""
         return judge.amounts_drift(list(self.amounts.values()))
 
     @property

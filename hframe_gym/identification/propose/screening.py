@@ -175,17 +175,18 @@ class Screening:
         """Rank the candidates by how well they can take the place of one of the compared effects.
 
         The changes of the predictions by the effect and by each basis function are compared, after removing
-        what the machine's free parameters can reproduce. The loss is the increase of the cost if the
-        candidate takes the place of the effect: what it cannot represent of the effect's change. In a
-        motion that is a single sine, for example, position and speed cannot be distinguished; at constant
-        speed, position and time cannot.
+        what the machine's free parameters, without those of the effect, can reproduce. The loss is the
+        increase of the cost if the candidate takes the place of the effect: what it cannot represent of the
+        effect's change. In a motion that is a single sine, for example, position and speed cannot be
+        distinguished; at constant speed, position and time cannot.
 
         Args:
             label: Label of the effect, one of `compared`.
 
         Returns:
-            Each candidate effect and site once, the smallest loss first; without those that need the effect
-            or represent nothing of it. There is no limit of the loss: the caller decides which are alike.
+            Each candidate effect and site once, with the starting values of the smallest loss; the smallest
+            loss first. Candidates that require the effect (`Effect.requires`), or represent nothing of it,
+            are left out. There is no limit of the loss: the caller decides which are alike.
         """
         effect = len(self.removable) + self.compared.index(label)  # its index among the responses
         free = self._free_without(label)

@@ -149,7 +149,8 @@ class EffectSearch:
             data: Prepared recordings to fit, for example with corrected zeros.
 
         Returns:
-            Search with a copy of `considered`. If structural effects were tried in vain, they are tried again
+            Search before its first step (`reached` is None), with copies of `considered` and of the latest
+            candidates by observer and effects. If structural effects were tried in vain, they are tried again
             only when the error has clearly fallen since (`judge.trial.is_worth_structures`).
         """
         search = EffectSearch(

@@ -317,13 +317,15 @@ def confirmed(plain: PlainFit, evaluated: Evaluated) -> tuple[PlainFit, ModelEva
 def start_of_description(plain: PlainFit, evaluated: Evaluated) -> PlainFit:
     """Return the plain fit with only those terms that clearly improve the simulation of the held-out runs.
 
-    A term must reduce the squared error by more than a factor of 1.2 (`judge.delivery.description_helps`).
-    One that hardly helps may be false, and would hide a part of what the description should find: a constant
-    force that of a spring.
+    The fits of `plain` with fewer, its own and more terms (a constant force, a weight, a delay) are compared
+    in this order. One takes the place of the best one before if it reduces the squared error by more than a
+    factor of 1.2 (`judge.delivery.description_helps`). A term that hardly helps may be false, and would hide
+    a part of what the description, whose search begins from this fit, should find: a constant force that of
+    a spring.
 
     Args:
         plain: Plain fit to the fitted runs.
-        evaluated: Outcome of a search, with the tests on the held-out runs.
+        evaluated: Outcome of a search; its test simulates the held-out runs.
     """
     fewest_first = (*plain.simpler, plain, *plain.extended)
     best = fewest_first[0]

@@ -46,8 +46,9 @@ def static_equilibrium(machine: Machine, positions: Array) -> Array:
             missing.
 
     Returns:
-        Positions of all coordinates, m or rad, shape (..., coordinates); for the carriages, those in
-        `positions`.
+        Positions of all coordinates, m or rad, shape (..., coordinates): for the carriages, those in
+        `positions`; for all others, also those that may be missing, the positions without stretch
+        (`rest_state`), from which pulleys turn by the smallest angles at which the belts carry the forces.
     """
     names = machine.coordinate_names
     linear, pulleys = linear_coordinates(machine), np.isin(names, pulley_names(machine))

@@ -111,9 +111,9 @@ def design_discriminating_experiment(
 ) -> ExperimentDesign | None:
     """Design a run whose measurements decide between an identified effect and its best rival.
 
-    A rival is another effect that explains the same data equally well. Steps, sines and other voltages are
-    simulated with both machines. The chosen run is the one on which their predictions differ most
-    (`separate_machines`).
+    A rival is another effect that explains the same data equally well. The best one takes the place of the
+    effect in a second machine, which is fitted. Steps, sines and other voltages are simulated with both
+    machines. The chosen run is the one on which their predictions differ most (`separate_machines`).
 
     Args:
         current: Fit of the machine with all selected effects, among them the identified one.
@@ -122,11 +122,13 @@ def design_discriminating_experiment(
         rivals: Rivals with fitted parameters, best first. Those that add coordinates (structural effects),
             those that the machine already has, and those that no recording can distinguish are not
             considered.
+        data: Recordings that were fitted. They also supply the noise and the sampling period of the run.
 
     Returns:
-        Design of the run with its inputs (`ExperimentDesign`). None if the identified effect is structural
-        or no effect of the fit (the range of a saturated sensor follows from the measurements), if no rival
-        remains, if the machine with the rival diverges, or if `separate_machines` finds no run.
+        Design of the run with its inputs (`ExperimentDesign`). None if the identified effect is structural,
+        if it is not among the fitted effects (such as the limited range of a sensor, which is read from the
+        measurements), if no rival remains, if the machine with the rival diverges, or if `separate_machines`
+        finds no run.
     """
     present = {e.label: e for e in current.machine.effects}
     effect = present.get(label)
