@@ -33,7 +33,13 @@ from .judge.criteria import SelectionCriteria
 from .report.content.assembly import build_result
 from .report.content.result import IdentificationResult
 from .search.checked_search import find_effects
-from .validate.evaluation import HeldOutTests, describe_unstable_motion, judged, with_certain_effects
+from .validate.evaluation import (
+    HeldOutTests,
+    describe_rounded_stamps,
+    describe_unstable_motion,
+    judged,
+    with_certain_effects,
+)
 from .validate.simpler_machines import no_worse, reserve_time_after_search
 
 _SILENT = (
@@ -115,10 +121,13 @@ def identify(
     certain = with_certain_effects(found.outcome, criteria, log)
     judgment = judged(tests.of(found.held_out).evaluate(certain), found.differing, log)
     delivered = no_worse(judgment, found.plain, log, budget, differing=found.differing)
-    if unstable := describe_unstable_motion(delivered.evaluated):
-        log(unstable)
+    unstable = describe_unstable_motion(delivered.evaluated)
+    rounded = "" if unstable else describe_rounded_stamps(delivered.evaluated)
+    causes = [cause for cause in (unstable, rounded) if cause]
+    for cause in causes:
+        log(cause)
     outcome = delivered.evaluated.outcome
-    remarks = (*found.remarks, *([unstable] if unstable else []), *delivered.remarks)
+    remarks = (*found.remarks, *causes, *delivered.remarks)
     differences = RunDifferencesInWords()
     puzzling = bool(remarks) or outcome.verdict == "unexplained"
     if puzzling and budget.has_time(COMPARISON_PART):
@@ -129,7 +138,9 @@ def identify(
             differences = describe_run_differences(judgment.evaluated.outcome.after, runs, criteria)
 
     # Report.
-    result = build_result(delivered, found, remarks, differences, budget, unstable=bool(unstable))
+    result = build_result(
+        delivered, found, remarks, differences, budget, unstable=bool(unstable), rounded=bool(rounded)
+    )
     log(f"verdict: {result.verdict}")
     for s in (s for s in result.effects if s.rivals):
         log(f"these runs cannot distinguish {s.effect.label} from {', '.join(s.rivals)}")

@@ -30,7 +30,7 @@ class VerdictEvidence:
     Attributes:
         left: Simulation error with the effects, in multiples of the noise at rest, rms over channels. In a
             log slower than its controller, in multiples of what noise and the unknown voltages between the
-            rows cause together.
+            rows cause together; without `stamps_known`, in multiples of what noise and rounding cause.
         left_before: The same without effects.
         motion: Simulation error with the effects relative to the motion, rms over the channels.
         lacking: Missing force of the machine with effects, relative to the force of the drives.
@@ -46,9 +46,11 @@ class VerdictEvidence:
             correlated in time. Only for a log slower than its controller.
         reduction_by_chance: Value of `reduction` that effects which do not exist hardly ever reach.
         voltages_known: Whether the log contains all voltages.
+        stamps_known: False if no effect is named, more than noise is left, and rounded stamps cause more
+            than noise as well.
         predicted: Squared error of predictions / that of an exact machine, which noise and unknown voltages
-            cause: the larger value of the widest observer and the one that judges effects. Only for a log
-            slower than its controller, if no effect is named.
+            or rounded stamps cause: the larger value of the widest observer and the one that judges effects.
+            Only where voltages or stamps are not known, if no effect is named.
         unstable: Evidence about the motion if it is unstable; None if it is stable or only noise is left.
     """
 
@@ -59,6 +61,7 @@ class VerdictEvidence:
     remaining_prediction: float
     causes_named: bool = False
     voltages_known: bool = True
+    stamps_known: bool = True
     remaining_fast: float = math.inf
     reduction: float = 0.0
     reduction_std: float = 0.0
@@ -91,10 +94,16 @@ class VerdictEvidence:
         )
         if not math.isfinite(self.left):
             return "the simulation of the held-out runs diverges"
-        cause = "the noise of the sensors"
-        if not self.voltages_known:
-            cause = "what noise and the unknown voltages between the rows cause"
+        unknown = self.unknown_in_words
+        cause = f"what noise and {unknown} cause" if unknown else "the noise of the sensors"
         return f"{self.left:.3g} times {cause}{force} left on the held-out runs"
+
+    @property
+    def unknown_in_words(self) -> str:
+        """What the log does not tell accurately, for the report; empty if it tells all."""
+        if not self.voltages_known:
+            return "the unknown voltages between the rows"
+        return "" if self.stamps_known else "the rounding of the time stamps"
 
 
 def remaining(after: float, before: float, floor: float) -> float:
@@ -140,9 +149,11 @@ def contradiction_of_no_effect(evidence: VerdictEvidence, criteria: SelectionCri
     They contradict it in three cases:
 
     - The simulation error exceeds twice the noise (`max_noise_ratio_explained`), in a log slower than its
-      controller four times, along an unstable motion `largest_grown_error`.
-    - Predictions are not explained: along an unstable motion by `predictions_explain`, in a log slower than
-      its controller with a chi-squared per sample of 1.5 (`explained_chi2`) or more.
+      controller four times what noise and unknown voltages cause, with rounded stamps twice what noise and
+      rounding cause, along an unstable motion `largest_grown_error`.
+    - Predictions, in which such errors do not add up, are not explained: along an unstable motion by
+      `predictions_explain`, in a log slower than its controller or with rounded stamps with 1.5 times
+      (`explained_chi2`) the squared error of an exact machine or more.
     - What the noise may hide, `error_beyond_noise`, exceeds 10 % (`max_motion_error`) of the motion.
 
     Args:
@@ -171,7 +182,7 @@ def contradiction_of_no_effect(evidence: VerdictEvidence, criteria: SelectionCri
     if not evidence.predicted < criteria.explained_chi2:
         return (
             f"the squared error of predictions of the held-out runs is {evidence.predicted:.3g} times what "
-            "noise and the unknown voltages between the rows cause; "
+            f"noise and {evidence.unknown_in_words} cause; "
             f"up to {criteria.explained_chi2:g} times counts as explained"
         )
     beyond = error_beyond_noise(motion, left)

@@ -41,7 +41,8 @@ from ..judge.verdict import (
     remaining,
 )
 from ..predict.exact_machine import expected_chi2
-from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, innovation_variance
+from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION, innovation_variance
+from ..predict.stamp_errors import has_stamp_errors, prediction_changes, stamp_deviation
 from ..predict.start_uncertainty import prediction_residuals
 from ..predict.voltage_errors import simulation_error, with_voltage_errors
 from ..propose.dependences import agree_with_causes, rank_dependences
@@ -57,6 +58,11 @@ _UNSTABLE = (
     "runs therefore say nothing here: an exact machine has such errors as well, and that of one machine "
     "is smaller than that of another by chance. Predictions that the measurements correct judge the verdict "
     "and the machine that is delivered; their squared error is {:.3g} times that of an exact machine at most."
+)
+_ROUNDED = (
+    "The time stamps are rounded, so that they err by {:.2g} ms (standard deviation), and the samples have "
+    "no regular clock. The errors that this causes add up in a simulation: an exact machine leaves about "
+    "{:.3g} times the noise on the held-out runs. Log the times with more digits."
 )
 
 
@@ -179,6 +185,20 @@ class HeldOutTest:
             )
         )
         return errors
+
+    def rounded_stamps_explain(self, model: ModelEvaluation) -> bool:
+        """Return whether rounded stamps may cause the simulation error of a machine.
+
+        Args:
+            model: Machine with its errors.
+        """
+        data, most = self.complete_runs, self.criteria.max_noise_ratio_explained
+        if not model.held_out.noise_ratio > most or data.has_voltage_errors or not has_stamp_errors(data):
+            return False
+        expected = np.hypot(data.noise, prediction_changes(model.machine, data, SIMULATION))
+        by_run = [model.errors[run.name] for run in data.runs]
+        channels = errors_by_channel(by_run, model.machine, expected)
+        return PredictionErrors(channels, None).noise_ratio <= most
 
     def refined_runs(self, model: ModelEvaluation, fitted: Dataset) -> Dataset:
         """Return the held-out runs, with initial states and voltages that follow from a machine.
@@ -435,6 +455,28 @@ def describe_unstable_motion(evaluated: Evaluated) -> str:
     return "" if motion is None else _UNSTABLE.format(motion.enlarged, motion.predicted)
 
 
+def describe_rounded_stamps(evaluated: Evaluated) -> str:
+    """Write a note for the report that rounded stamps may cause the error of a machine without effects.
+
+    Args:
+        evaluated: Outcome with the machine that is delivered.
+
+    Returns:
+        Sentences; "" if another verdict than "no_effect" is given, stamps are not rounded, or only noise is
+        left.
+    """
+    test, machine = evaluated.test, evaluated.after.machine
+    data = test.complete_runs
+    explained = evaluated.after.held_out.noise_ratio <= test.criteria.max_noise_ratio_explained
+    if evaluated.outcome.verdict != "no_effect" or explained or data.has_voltage_errors:
+        return ""
+    if not has_stamp_errors(data):
+        return ""
+    deviation = max(stamp_deviation(run, data) for run in data.runs)
+    expected = np.hypot(1.0, prediction_changes(machine, data, SIMULATION) / data.noise)
+    return _ROUNDED.format(1e3 * deviation, float(np.sqrt(np.mean(expected**2))))
+
+
 def _with_ranges(evaluated: Evaluated) -> Evaluated:
     """Return an evaluation whose refitted machine has saturated sensors' ranges too, which need no search.
 
@@ -455,12 +497,12 @@ def _evidence(evaluated: Evaluated, differing: Sequence[str]) -> VerdictEvidence
     held_out = evaluated.test.complete_runs
     agreeing = _agreeing(evaluated, differing)
 
-    expected = held_out.noise
+    expected, names = held_out.noise, evaluated.outcome.selected
+    runs = held_out.with_runs([run.name for run in agreeing])
     if held_out.has_voltage_errors:
-        runs = held_out.with_runs([run.name for run in agreeing])
         expected = np.hypot(expected, simulation_error(evaluated.after.machine, runs))
 
-    def errors(model: ModelEvaluation) -> PredictionErrors:
+    def errors(model: ModelEvaluation, expected: Array) -> PredictionErrors:
         by_run, measured = [model.errors[run.name] for run in agreeing], [run.outputs for run in agreeing]
         channels = errors_by_channel(by_run, model.machine, expected, measured)
         return PredictionErrors(channels, None, model.held_out.lacking)
@@ -468,11 +510,18 @@ def _evidence(evaluated: Evaluated, differing: Sequence[str]) -> VerdictEvidence
     def finite(value: float | None) -> float:
         return math.inf if value is None or not math.isfinite(value) else value
 
-    before, after = errors(evaluated.before), errors(evaluated.after)
+    explained = evaluated.test.criteria.max_noise_ratio_explained
+    more_than_noise = finite(errors(evaluated.after, expected).noise_ratio) > explained
+    rounded = False
+    if more_than_noise and not (names or held_out.has_voltage_errors) and has_stamp_errors(runs):
+        changes = prediction_changes(evaluated.after.machine, runs, SIMULATION)
+        rounded = bool(np.any(changes > held_out.noise))
+        expected = np.hypot(expected, changes)
+    before, after = (errors(model, expected) for model in (evaluated.before, evaluated.after))
     motion = after.motion_ratio
-    quiet, names = _quiet(evaluated, agreeing), evaluated.outcome.selected
+    quiet = _quiet(evaluated, agreeing)
     left, unstable = finite(after.noise_ratio), None
-    if math.isfinite(left) and left > evaluated.test.criteria.max_noise_ratio_explained:
+    if math.isfinite(left) and left > explained:
         unstable = evaluated.test.unstable_motion(
             evaluated.after, evaluated.outcome.data, [run.name for run in agreeing]
         )
@@ -483,20 +532,35 @@ def _evidence(evaluated: Evaluated, differing: Sequence[str]) -> VerdictEvidence
         lacking=finite(after.lacking),
         remaining_prediction=_remaining_prediction(evaluated, quiet, JUDGING_BANDWIDTH),
         voltages_known=not held_out.has_voltage_errors,
+        stamps_known=not rounded,
         predicted=1.0
-        if names or not held_out.has_voltage_errors
+        if names or not (held_out.has_voltage_errors or rounded)
         else _predicted(evaluated, quiet, JUDGING_BANDWIDTH, SEARCH_BANDWIDTH),
         unstable=unstable,
     )
 
 
 def _predicted(evaluated: Evaluated, held_out: Dataset, *bandwidths: float) -> float:
-    """Return squared error of predictions / that of an exact machine, the largest one of some observers."""
-    machine = evaluated.after.machine
+    """Return squared error of predictions / that of an exact machine, the largest one of some observers.
+
+    Args:
+        evaluated: Outcome with the machine that predicts.
+        held_out: Runs with the noise at rest.
+        *bandwidths: Bandwidths of the observers, rad/s.
+    """
+    machine, counts = evaluated.after.machine, sum(run.weights.sum(axis=0) for run in held_out.runs)
+
+    def of_exact(bandwidth: float) -> float:
+        if held_out.has_voltage_errors:
+            return expected_chi2(machine, held_out, bandwidth)
+        variance, _ = innovation_variance(machine, held_out, bandwidth)
+        changes = prediction_changes(machine, held_out, bandwidth) / held_out.noise
+        return variance + float(np.average(changes**2, weights=counts))
+
     return max(
         prediction_cost(machine, held_out, bandwidth, longest_step=POLISH_STEP)
         / held_out.count
-        / expected_chi2(machine, held_out, bandwidth)
+        / of_exact(bandwidth)
         for bandwidth in bandwidths
     )
 

@@ -348,8 +348,12 @@ def _is_worse(model: ModelEvaluation, reference: ModelEvaluation, test: HeldOutT
 
 
 def _simulates_worse(model: ModelEvaluation, reference: ModelEvaluation, test: HeldOutTest) -> bool:
-    """Return whether a machine simulates the held-out runs worse than a reference."""
-    return is_worse_than(error_ratio(model, reference), model.held_out.noise_ratio, test.criteria)
+    """Return whether a machine simulates the held-out runs worse than a reference.
+
+    Errors of rounded stamps add up along a run: which of two machines that they explain errs less is chance.
+    """
+    worse = is_worse_than(error_ratio(model, reference), model.held_out.noise_ratio, test.criteria)
+    return worse and not test.rounded_stamps_explain(model)
 
 
 def _instead(evaluated: Evaluated, fitted: Fit, reason: str) -> Evaluated:

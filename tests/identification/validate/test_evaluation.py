@@ -68,6 +68,23 @@ def test_unknown_voltages_of_a_slow_log_may_explain_its_error(
 
 
 @pytest.mark.parametrize(
+    ("left", "predicted", "contradiction"),
+    [
+        (1.9, 1.2, ""),
+        (2.1, 1.2, "2.1 times what noise and the rounding of the time stamps cause"),
+        (1.0, 1.6, "1.6 times what noise and the rounding of the time stamps cause"),
+    ],
+)
+def test_rounded_stamps_may_explain_an_error_that_predictions_do_not_have(
+    left: float, predicted: float, contradiction: str
+) -> None:
+    evidence = dataclasses.replace(EXACT, left=left, predicted=predicted, stamps_known=False)
+    reason = contradiction_of_no_effect(evidence, CRITERIA)
+    assert contradiction in reason
+    assert bool(contradiction) == bool(reason)
+
+
+@pytest.mark.parametrize(
     ("left", "enlarged", "predicted", "contradiction"),
     [
         (111.0, 2.3e4, 0.97, ""),  # an exact pendulum, swung above its axis

@@ -56,6 +56,9 @@ class HeldOutRuns:
             self, errors_of=self.part, complete_runs=self.complete_runs.with_runs(names)
         )
 
+    def rounded_stamps_explain(self, model: ModelEvaluation) -> bool:
+        return False
+
     def explains_unstable_motion(self, model: ModelEvaluation, fitted: object) -> bool:
         return self.explaining in model.machine.effects
 

@@ -44,6 +44,7 @@ def build_result(
     budget: Budget,
     *,
     unstable: bool,
+    rounded: bool = False,
 ) -> IdentificationResult:
     """Collect the result of what an identification delivers, and propose an experiment.
 
@@ -59,6 +60,7 @@ def build_result(
             the missing force depends, because these would only reflect the differences.
         budget: Budget of the identification; its end shortens the estimate of the uncertainty.
         unstable: Whether an unstable motion causes the remaining simulation error.
+        rounded: Whether rounded time stamps may cause it.
     """
     evaluated = delivered.evaluated
     outcome, selected = evaluated.outcome, evaluated.selected
@@ -106,6 +108,7 @@ def build_result(
         plain=delivered.plain,
         unknown_voltages=_unknown_voltages(corrected, held_out, after),
         unstable=unstable,
+        rounded_stamps=rounded,
     )
     return dataclasses.replace(result, hint=_hint(result))
 

@@ -294,6 +294,7 @@ class Report(ReportPart):
         left_in_others: The same on those that do not contradict the fitted runs (`contradicting`).
         unstable: Whether an unstable motion is the cause of `left`: predictions are those of an exact
             machine.
+        rounded_stamps: Whether the rounding of the time stamps may be the cause of `left`.
         seconds: Duration of the identification, s.
         warnings: What limits the result, and findings about the recordings, one sentence each.
     """
@@ -315,6 +316,7 @@ class Report(ReportPart):
     left: FiniteFloat | None = None
     left_in_others: FiniteFloat | None = None
     unstable: bool = False
+    rounded_stamps: bool = False
     hint: Hint | None = None
     considered: list[Considered] = []
     not_separable: list[NotSeparable] = []

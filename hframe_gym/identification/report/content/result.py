@@ -101,6 +101,7 @@ class IdentificationResult:
         plain: Plain fit of inertia and friction, for comparison; None if the runs permit none.
         unknown_voltages: What the log does not say of the voltages; None if it contains all of them.
         unstable: Whether an unstable motion is the cause of the simulation error that is left.
+        rounded_stamps: Whether rounded time stamps may be this cause.
     """
 
     verdict: Verdict
@@ -126,6 +127,7 @@ class IdentificationResult:
     plain: PlainResult | None = None
     unknown_voltages: document.UnknownVoltages | None = None
     unstable: bool = False
+    rounded_stamps: bool = False
 
     @property
     def explained(self) -> float:
@@ -256,6 +258,7 @@ class IdentificationResult:
             left=_finite_or_none(self.left),
             left_in_others=_finite_or_none(self.left_in_others),
             unstable=self.unstable,
+            rounded_stamps=self.rounded_stamps,
             hint=self.hint,
             considered=[_considered(entry) for entry in self.considered],
             not_separable=self._not_separable(),

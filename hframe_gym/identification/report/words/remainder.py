@@ -103,7 +103,8 @@ def reason_of_remainder(report: Report) -> str:
     Returns:
         Text that begins with a punctuation mark and ends without one. One of these: the error with the
         formula recommended in place of a table, if it is clearly smaller; that a table names no cause; that
-        unknown voltages may be the cause; that the motion is unstable; that the cause was not found.
+        unknown voltages may be the cause; that the motion is unstable;
+        that rounded stamps may be the cause; that the cause was not found.
     """
     tables = any(effect.name.partition("[")[0] in HOOK_OF_KIND for effect in report.effects)
     formulas = {
@@ -125,6 +126,8 @@ def reason_of_remainder(report: Report) -> str:
         return f", of which the unknown {commands} between the rows may cause a part or all"
     if report.unstable:
         return ", because the motion is unstable (see the notes)"
+    if report.rounded_stamps:
+        return ", which the rounding of the time stamps may cause (see the notes)"
     return ", whose cause was not found"
 
 
