@@ -69,6 +69,7 @@ class Scripted:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.force: dict[str, float] = {}
         self.residue: dict[float, float] = {}  # by chi-squared of the fit
+        self.residue_beyond_noise: dict[float, float] = {}  # beyond the noise of the motion, where it differs
         self.drives = 10.0
         self.confirmed, self.variance, self.fault = 1.0, 1.0, ""
         self.variances: dict[str, float] = {}  # by label of an effect, where they differ from `variance`
@@ -86,7 +87,9 @@ class Scripted:
         replaced: Mapping[str, Callable[..., Any]] = {
             "effect_force": lambda machine, effect, data: self.force.get(effect.label, 1.0),
             "drive_force": lambda machine, data: self.drives,
-            "residue_force": lambda fitted, data: self.residue.get(fitted.chi2, 0.1),
+            "residue_force": lambda fitted, data, noise_of_motion=False: (
+                self.residue_beyond_noise if noise_of_motion else self.residue
+            ).get(fitted.chi2, self.residue.get(fitted.chi2, 0.1)),
             "leave_one_out_gain": lambda a, b, data: self.confirmed * (a.cost - b.cost),
             "long_run_variance": lambda fitted, label, data: LongRunVariance(
                 self.variances.get(label, self.variance)

@@ -258,20 +258,30 @@ def _is_forceless(effect: AppliedEffect) -> bool:
 
 def _forces(without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset) -> Forces:
     """Return the force of an effect and the force that remains unexplained beside it, N."""
-    size, residue = effect_force(with_effect.machine, effect, data), residue_force(with_effect, data)
-    if _is_forceless(effect):  # what it takes from the unexplained one
-        size = math.sqrt(max(residue_force(without, data) ** 2 - residue**2, 0.0))
-    return Forces(size, residue)
+    if _is_forceless(effect):
+        return _taken_force(without, with_effect, data)
+    return Forces(effect_force(with_effect.machine, effect, data), residue_force(with_effect, data))
+
+
+def _taken_force(without: Fit, with_effect: Fit, data: Dataset, *, accurate: bool = False) -> Forces:
+    """Return what an effect takes from the unexplained force, and what remains, N.
+
+    Args:
+        accurate: Whether the noise of the motion counts where that at rest is less (`residue_force`).
+    """
+    residue = residue_force(with_effect, data)
+    taken = math.sqrt(max(residue_force(without, data) ** 2 - residue**2, 0.0))
+    return Forces(taken, residue_force(with_effect, data, noise_of_motion=True) if accurate else residue)
 
 
 def _forces_at_likeliest(without: Fit, tested: TestedFit, effect: AppliedEffect) -> Forces:
     """Return the same forces at the most likely observer of the machine with the effect."""
     likeliest, data = tested.likeliest, tested.data
-    if (
-        _is_forceless(effect) and likeliest.bandwidth != without.bandwidth
-    ):  # both of what one observer corrects
+    if not _is_forceless(effect):
+        return _forces(without, likeliest, effect, data)
+    if likeliest.bandwidth != without.bandwidth:  # both of what one observer corrects
         without = continue_fit(without, data, likeliest.bandwidth)
-    return _forces(without, likeliest, effect, data)
+    return _taken_force(without, likeliest, data, accurate=True)
 
 
 def _additions(without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset) -> Iterator[Addition]:

@@ -23,7 +23,7 @@ from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording, RunObserver
 from ..budget import goes_on
 from ..judge.error import FitError
-from ..predict.free_parameters import FreeParameter, bounded_step, prior_precision, values_at
+from ..predict.free_parameters import FreeParameter, bounded_step, prior_precision, step_in_values, values_at
 from ..predict.linearization import DIFFERENCE_STEP, Linearization, ResidualModel, has_impacts
 from ..predict.prediction import SEARCH_BANDWIDTH, SEARCH_STEP, innovation_variance, map_runs
 from ..predict.start_uncertainty import prediction_residuals, uncertain_starts
@@ -211,10 +211,11 @@ def _descend(
         hessian, gradient = information + precision, equations.gradient + precision @ theta
         scaling = np.diag(np.diag(hessian))
         steps = np.array([bounded_step(free, theta, hessian + d * scaling, gradient) for d in _DAMPINGS])
-        costs = _costs(expansion, precision, theta + steps)
-        theta, cost = _best_trial(theta + steps, costs, theta, cost)
+        ends = _ends(free, theta, steps)
+        costs = _costs(expansion, precision, ends)
+        theta, cost = _best_trial(ends, costs, theta, cost)
         promised = -(2.0 * steps @ gradient + np.einsum("bi,ij,bj->b", steps, hessian, steps))
-        next_decrease = _next_decrease(promised, initial_cost - costs)
+        next_decrease = _next_decrease(promised, initial_cost - costs[: len(steps)])
         for j in (j for j, parameter in enumerate(free) if parameter.switch):
             trials = with_changed_switch(free[j], j, theta, SWITCH_CHANGES)
             theta, cost = _best_trial(trials, _costs(expansion, precision, trials), theta, cost)
@@ -265,6 +266,18 @@ def _lowest_cost(before: float, cost: float, promised: float, remaining: int) ->
 def _costs(expansion: Linearization, precision: Array, trials: Array) -> Array:
     """Return the costs of trials, shape (trials, k), with the prior's penalty, simulated as one batch."""
     return expansion.costs(trials) + np.einsum("bi,ij,bj->b", trials, precision, trials)
+
+
+def _ends(free: Sequence[FreeParameter], theta: Array, steps: Array) -> Array:
+    """Return where steps end, shape (ends, k): all of them in theta, then in values those that end elsewhere.
+
+    Where the data determine a sum of values, such as an inertia of several parts, the valley of low costs is
+    straight in values and curved in logarithms; where they determine a ratio or product, it is the reverse.
+    In a curved valley, only short steps decrease the cost.
+    """
+    in_theta, in_values = theta + steps, theta + step_in_values(free, theta, steps)
+    differ = np.any(np.abs(in_values - in_theta) > DIFFERENCE_STEP, axis=1)
+    return np.vstack([in_theta, in_values[differ]])
 
 
 def _best_trial(trials: Array, costs: Array, theta: Array, cost: float) -> tuple[Array, float]:

@@ -7,7 +7,7 @@ What a model lacks is measured in two ways: `residue_force` by the corrections o
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from ...arrays import Array
 from ...dynamics import net_forces
 from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset, PreparedRecording
+from ...robust_statistics import white_noise
 from ..fit.estimation import Fit
 from ..fit.model_error import BANDWIDTHS, search_step
 from ..predict.prediction import (
@@ -99,7 +100,7 @@ def force_size(force: Array) -> float:
     return float(np.sqrt(np.mean(np.sum(force**2, axis=1))))
 
 
-def residue_force(fitted: Fit, data: Dataset) -> float:
+def residue_force(fitted: Fit, data: Dataset, *, noise_of_motion: bool = False) -> float:
     """Return the root mean square force that a fitted model lacks during the recordings.
 
     An observer corrects the predicted velocities by the measurements. The lacking force is mass * correction
@@ -108,13 +109,18 @@ def residue_force(fitted: Fit, data: Dataset) -> float:
     Args:
         fitted: Fitted machine with its observer bandwidth. For a fit in simulation (0), an observer of 3
             rad/s is used.
+        noise_of_motion: Whether the noise of each sensor is at least that of its prediction errors, from
+            their third differences, which a force hardly changes. Some hundred rows at rest tell the noise
+            within a few percent only, and the force that it causes may be far larger than the lacking one.
 
     Returns:
         Force at the belt (torque / pulley radius), N, as `force_size`.
     """
     # The narrowest observer measures it where none is needed.
     bandwidth = max(fitted.bandwidth, BANDWIDTHS[-2])
-    return _observed_force(fitted.machine, data, bandwidth, lambda run: run.noise)
+    return _observed_force(
+        fitted.machine, data, bandwidth, lambda run: run.noise, noise_of_motion=noise_of_motion
+    )
 
 
 def lacking_force(machine: Machine, data: Dataset) -> float | None:
@@ -141,7 +147,12 @@ def lacking_force(machine: Machine, data: Dataset) -> float | None:
 
 
 def _observed_force(
-    machine: Machine, data: Dataset, bandwidth: float, noise_of: Callable[[PreparedRecording], Array]
+    machine: Machine,
+    data: Dataset,
+    bandwidth: float,
+    noise_of: Callable[[PreparedRecording], Array],
+    *,
+    noise_of_motion: bool = False,
 ) -> float:
     """Return the rms force of an observer's corrections, N, beyond what noise (n, sensors) causes."""
     velocity_gains = observer_gains(machine, data.period, bandwidth)[len(machine.coordinates) :]
@@ -154,14 +165,32 @@ def _observed_force(
 
     def of_run(run: PreparedRecording) -> tuple[Array, Array]:
         errors = _errors_from_probable_start if remembers else _errors
-        innovation = np.nan_to_num(errors(machine, run, data, bandwidth))  # (n, sensors)
-        return innovation @ force_gains, np.sqrt(
-            (np.isfinite(run.outputs) * noise_of(run) ** 2) @ force_gains**2
-        )
+        innovation = np.nan_to_num(errors(machine, run, data, bandwidth))
+        return innovation, np.isfinite(run.outputs) * noise_of(run)  # (n, sensors) each
 
-    correction, noise = (np.concatenate(part) for part in zip(*map_runs(of_run, data), strict=True))
-    square = force_size(correction) ** 2 - force_size(noise) ** 2
+    runs = list(map_runs(of_run, data))
+    factors = _noise_factors(runs) if noise_of_motion else 1.0
+    innovation, noise = (np.concatenate(part) for part in zip(*runs, strict=True))
+    noise_force = np.sqrt((factors * noise) ** 2 @ force_gains**2)
+    square = force_size(innovation @ force_gains) ** 2 - force_size(noise_force) ** 2
     return math.sqrt(max(square, 0.0)) if math.isfinite(square) else math.inf
+
+
+def _noise_factors(runs: Sequence[tuple[Array, Array]]) -> Array:
+    """Return by what factor the noise of prediction errors exceeds the known one, at least 1, (sensors,).
+
+    Args:
+        runs: Errors and known noise of each run, 0 where not measured, in the sensors' units, shape
+            (n, sensors) each.
+    """
+    factors = []
+    for j in range(runs[0][0].shape[1]):
+        known = [noise[:, j] > 0.0 for _, noise in runs]
+        relative = [
+            errors[rows, j] / noise[rows, j] for (errors, noise), rows in zip(runs, known, strict=True)
+        ]
+        factors.append(max(1.0, white_noise(relative, 3)))
+    return np.array(factors)
 
 
 def _errors(machine: Machine, run: PreparedRecording, data: Dataset, bandwidth: float) -> Array:

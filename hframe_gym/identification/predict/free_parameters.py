@@ -235,6 +235,28 @@ def bounded_step(free: Sequence[FreeParameter], theta: Array, hessian: Array, gr
     return step if within else np.clip(moved, low, high) - theta
 
 
+def step_in_values(free: Sequence[FreeParameter], theta: Array, step: Array) -> Array:
+    """Return the step of theta that changes each value by as much as the step's derivative says.
+
+    A value that is fitted as a logarithm then moves along a straight line, so that sums of values change as
+    the linear model of the step says: a part's inertia may grow and the rest of the total inertia shrink.
+
+    Args:
+        free: Free parameters, k of them, with the limits of theta.
+        theta: Dimensionless variables before the steps, within their limits, shape (k,).
+        step: Steps of theta, shape (..., k).
+
+    Returns:
+        Steps of theta, shape (..., k), within the limits; to the smallest theta where a logarithm's value
+        would not remain positive.
+    """
+    logarithmic = np.array([f.scale is None for f in free], np.bool_)
+    with np.errstate(divide="ignore"):
+        changed = np.where(logarithmic, np.log1p(np.maximum(step, -1.0)), step)
+    low, high = limits_of_theta(free)
+    return np.asarray(np.clip(theta + changed, low, high) - theta)
+
+
 def limits_of_theta(free: Sequence[FreeParameter]) -> tuple[Array, Array]:
     """Return the smallest and the largest theta of each free parameter, dimensionless, shape (k,) each."""
     low, high = np.array([f.theta_limits for f in free]).reshape(-1, 2).T

@@ -25,6 +25,7 @@ from tests.identification.scripted_fits import (
     CLOCK,
     CRITERIA,
     DATA,
+    FRAME,
     HFRAME,
     PUSH,
     Scripted,
@@ -50,6 +51,16 @@ def test_a_clock_has_the_size_of_the_force_that_it_explains(
     both = fit_with(heat, CLOCK, chi2=1.1)
     doubt = doubt_about_candidate(TestedFit(fit_with(heat, chi2=1.3), DATA), both, CRITERIA)
     assert doubt.startswith(reason) if reason else doubt == ""
+
+
+def test_noise_of_the_motion_does_not_remain_unexplained(scripted: Scripted) -> None:
+    """Of the force that is left beside a structure, most may be noise that the rows at rest do not show."""
+    scripted.residue, scripted.residue_beyond_noise = {1.4: 0.5, 1.1: 0.4}, {1.1: 0.2}
+    without, both = fit_with(chi2=1.4), fit_with(FRAME, chi2=1.1)
+    assert doubt_about_candidate(TestedFit(without, DATA), both, CRITERIA) == ""
+    scripted.residue_beyond_noise = {}
+    doubt = doubt_about_candidate(TestedFit(without, DATA), both, CRITERIA)
+    assert doubt == "explains a force of 0.3 N, where 0.4 N remain unexplained"
 
 
 def test_no_effect_corrects_a_clock(scripted: Scripted) -> None:

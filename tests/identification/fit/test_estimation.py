@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,12 @@ from hframe_gym.identification.fit import estimation
 from hframe_gym.identification.fit.estimation import Fit, prediction_cost
 from hframe_gym.identification.fit.model_error import polish
 from hframe_gym.identification.predict import free_parameters
-from hframe_gym.identification.predict.free_parameters import FreeParameter, bounded_step, prior_precision
+from hframe_gym.identification.predict.free_parameters import (
+    FreeParameter,
+    bounded_step,
+    prior_precision,
+    step_in_values,
+)
 from hframe_gym.identification.predict.linearization import ResidualModel
 from hframe_gym.identification.predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
@@ -137,6 +142,45 @@ def test_a_fit_ends_no_worse_than_it_starts(
         fitted = fit(hframe, free, run, SEARCH_BANDWIDTH, theta=start.theta, iterations=iterations)
         np.testing.assert_array_equal(fitted.theta, start.theta)
         assert fitted.cost == pytest.approx(start.cost, rel=1e-7)
+
+
+@pytest.mark.parametrize(("determined", "kept"), [(np.multiply, 0), (np.add, 1)])
+def test_a_step_has_an_end_where_the_determined_product_or_sum_remains(
+    determined: Callable[..., Any], kept: int
+) -> None:
+    """Inertias of parts are a sum, a length and a stiffness a product."""
+    free = [FreeParameter(name, 2.0, prior=1.0) for name in "ab"]
+    steps = np.array([[-1e-3, 1e-3], [-0.5, 0.5]])
+    ends = estimation._ends(free, np.zeros(2), steps)
+    assert len(ends) == 3  # both ends of a short step are nearly the same
+    results = determined(*(f.value(ends[1:, j]) for j, f in enumerate(free)))
+    assert results[kept] == pytest.approx(4.0)
+    assert abs(results[1 - kept] - 4.0) > 0.5
+
+
+def test_a_step_in_values_moves_each_value_by_what_its_derivative_says() -> None:
+    logarithmic = FreeParameter("a", 2.0, prior=1.0)
+    linear = FreeParameter("b", 2.0, prior=1.0, scale=3.0, upper=9.0)
+    free, theta = [logarithmic, linear], np.array([0.1, 0.2])
+    for step in ([0.3, 0.4], [-0.9, -0.1]):
+        moved = theta + step_in_values(free, theta, np.array([step]))[0]
+        for f, before, change, after in zip(free, theta, step, moved, strict=True):
+            assert f.value(after) == pytest.approx(f.value(before) + f.slope(before) * change)
+    beyond = theta + step_in_values(free, theta, np.array([[-1.5, 5.0]]))[0]
+    assert beyond == pytest.approx([-4.0, 7.0 / 3.0])  # no logarithm of a negative value; within the bounds
+
+
+def test_parts_of_a_known_total_inertia_are_found_in_few_iterations(hframe: Machine) -> None:
+    """The data determine the totals of motors and cart, of which those of the idlers are parts."""
+    idlers = EFFECTS["idler_inertia"]
+    machine = hframe.with_effects(idlers.at("machine", J_left=8e-5, J_right=4e-5, B_left=2e-3, B_right=5e-4))
+    start = hframe.with_effects(
+        idlers.at("machine", J_left=5.6e-5, J_right=5.6e-5, B_left=1e-3, B_right=1e-3)
+    )
+    data = prepare(list(_recordings(machine)), hframe)
+    free = default_free_parameters(start)
+    fitted = fit(start, free, data, SEARCH_BANDWIDTH, iterations=8)
+    assert fitted.cost < prediction_cost(machine, data, SEARCH_BANDWIDTH)  # at the true values
 
 
 def test_a_tight_prior_keeps_the_declared_parameters(hframe: Machine, data: Dataset) -> None:
@@ -284,9 +328,8 @@ def _recordings(machine: Machine) -> Iterator[Recording]:
     rng = np.random.default_rng(1)
     for k in range(4):
         time_s = np.arange(2000) * 1e-3
-        inputs = (
-            0.8 * machine.drives[0].rated_voltage * np.repeat(rng.uniform(-1.0, 1.0, (40, 1)), 50, axis=0)
-        )
+        rated = [drive.rated_voltage for drive in machine.drives]
+        inputs = 0.8 * np.repeat(rng.uniform(-1.0, 1.0, (40, len(rated))), 50, axis=0) * rated
         inputs[:100] = 0.0
         outputs = simulate(machine, time_s, inputs).outputs
         noise = rng.normal(0.0, 1.0, outputs.shape) * [sensor.noise or 1e-6 for sensor in machine.sensors]

@@ -99,6 +99,20 @@ def test_the_residue_is_the_correction_beyond_that_of_noise(axis_data: Dataset, 
     assert force_sizes.residue_force(pushed, dataclasses.replace(data, runs=(noisy,))) == 0.0
 
 
+def test_noise_that_exceeds_that_at_rest_is_no_missing_force(axis_data: Dataset) -> None:
+    """A force that is missing adds to the errors slowly, and remains."""
+    data = axis_data.with_runs(["run_0"])
+    [run] = data.runs
+    noise = np.random.default_rng(2).normal(0.0, 2.0, run.outputs.shape) * run.noise
+    noisy = dataclasses.replace(data, runs=(dataclasses.replace(run, outputs=run.outputs + noise),))
+    exact, pushed = (fit_with(*effects, chi2=1.0, bandwidth=30.0) for effects in ((), (PUSH,)))
+    by_noise = force_sizes.residue_force(exact, noisy)
+    assert force_sizes.residue_force(exact, noisy, noise_of_motion=True) < 0.3 * by_noise
+    lacking = force_sizes.residue_force(pushed, data)
+    found = force_sizes.residue_force(pushed, noisy, noise_of_motion=True)
+    assert found == pytest.approx(lacking, rel=0.1)
+
+
 def test_what_an_effect_remembers_is_no_missing_force() -> None:
     """A winding that is hot when a run begins reduces all its forces; a fit takes this into account too."""
     heated = AXIS.with_effects(EFFECTS["winding_heat"].at("motor", a=0.01, tau=20.0))

@@ -58,8 +58,9 @@ def test_a_rival_is_compared_once_beside_the_same_machine() -> None:
     assert settled(current, OFFSET, DRAG) == (remaining, [])
     more, of_another = settled(current, OFFSET, DRAG, STRIBECK)
     assert more == remaining
-    assert 0 < len(of_another) < len(steps)
-    assert settled(dataclasses.replace(current), OFFSET, DRAG)[1]
+    again = settled(dataclasses.replace(current), OFFSET, DRAG, STRIBECK)  # another fit
+    assert again[0] == remaining
+    assert 0 < len(of_another) < len(again[1])
 
 
 def test_the_most_likely_fit_of_a_machine_is_found_once() -> None:
