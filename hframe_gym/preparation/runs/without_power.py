@@ -22,13 +22,15 @@ from ..dataset import MIN_ROWS
 # Change of a measurement at rest, in standard deviations of its noise and in steps: about the span of 20 000
 # normally distributed samples, and the two steps between which a resting counter alternates.
 _STILL_NOISE, _STILL_STEPS = 8.0, 2.5
-_REST_ROWS = 3  # before a push
+_REST_ROWS = 4  # before a push
 _FULL = 0.95  # fraction of its peak from which on a push counts as acting
 _AS_STRONG = 0.99  # fraction of a push's force; commands are rounded
 _MIN_STARTS = 2  # by no larger force that must succeed, all runs together
 _LONGER = 2.0  # times the longest time that such a start takes; a start may be late by chance
 _SHORTEST = 0.2  # s, for which a failed push acts; friction and inertia outlast the pushes of a fast sweep
-_MIN_FAILED = 2  # failed pushes at one end of a run; a single one may be stiction after a long rest
+# Failed pushes at one end of a run; a single one may be stiction after a long rest, unless it is so many
+# times as strong as pushes that succeed elsewhere.
+_MIN_FAILED, _STRONG = 2, 1.5
 
 
 class WithoutPower(NamedTuple):
@@ -131,7 +133,8 @@ def _pushes(time_s: Times, force: Array, values: Array, still: float) -> list[_P
     pushes = []
     bounds = [0, *edges.tolist(), len(force)]
     for first, end in pairwise(bounds):
-        before = values[max(0, first - _REST_ROWS) : first + 1]
+        # Not the last row: a log that is one row late shows the motion before the command.
+        before = values[max(0, first - 1 - _REST_ROWS) : max(first - 1, 1)]
         rows = values[first : min(end + 1, len(values))]
         if not signs[first] or np.isnan(before).all() or np.isfinite(rows).sum() < 2:
             continue
@@ -146,23 +149,26 @@ def _pushes(time_s: Times, force: Array, values: Array, still: float) -> list[_P
     return pushes
 
 
-def _failed(pushes: Sequence[Sequence[_Push]]) -> list[list[bool]]:
-    """Return for each push of each run whether it fails although weaker or equal ones succeed elsewhere."""
+def _failed(pushes: Sequence[Sequence[_Push]]) -> list[list[int]]:
+    """Return for each push how much its failure counts: 0 if no weaker or equal ones succeed elsewhere."""
     starts = [push for own in pushes for push in own if push.moves]
 
-    def fails(push: _Push) -> bool:
+    def fails(push: _Push, margin: float) -> bool:
         weaker = [
             start.seconds
             for start in starts
-            if start.force * push.force > 0.0 and _AS_STRONG * abs(start.force) <= abs(push.force)
+            if start.force * push.force > 0.0 and margin * abs(start.force) <= abs(push.force)
         ]
         long_enough = max(_SHORTEST, _LONGER * max(weaker, default=0.0))
         return not push.moves and len(weaker) >= _MIN_STARTS and push.seconds >= long_enough
 
-    return [[fails(push) for push in own] for own in pushes]
+    def count(push: _Push) -> int:
+        return _MIN_FAILED if fails(push, _STRONG) else int(fails(push, _AS_STRONG))
+
+    return [[count(push) for push in own] for own in pushes]
 
 
-def _ends(pushes: Sequence[_Push], fails: Sequence[bool], rows: int) -> list[tuple[int, int, int]]:
+def _ends(pushes: Sequence[_Push], fails: Sequence[int], rows: int) -> list[tuple[int, int, int]]:
     """Return first and last row of a run's beginning and end without power, and the pushes in each."""
     moving = [k for k, push in enumerate(pushes) if push.moves]
     if not moving or any(fails[moving[0] : moving[-1]]):
@@ -171,8 +177,8 @@ def _ends(pushes: Sequence[_Push], fails: Sequence[bool], rows: int) -> list[tup
     before, after = fails[: moving[0]], fails[moving[-1] + 1 :]
     if sum(before) >= _MIN_FAILED:
         last = max(k for k, failed in enumerate(before) if failed)
-        ends.append((0, pushes[last].end - 1, sum(before)))
+        ends.append((0, pushes[last].end - 1, int(np.count_nonzero(before))))
     if sum(after) >= _MIN_FAILED:
         first = moving[-1] + 1 + min(k for k, failed in enumerate(after) if failed)
-        ends.append((pushes[first].first, rows - 1, sum(after)))
+        ends.append((pushes[first].first, rows - 1, int(np.count_nonzero(after))))
     return ends

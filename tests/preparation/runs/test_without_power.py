@@ -25,9 +25,9 @@ def motor(kind: str = "encoder") -> Machine:
     return BUILTIN_MACHINES["motor"]().replace(sensors=(sensor,))
 
 
-def run(machine: Machine, powered: tuple[bool, ...]) -> Recording:
-    """Return a run with a pulse of 4 V and a pause of 0.5 s each; without power it has no effect."""
-    volts = np.tile(np.repeat([0.0, 4.0, 0.0], PULSE), len(powered))[:, None]
+def run(machine: Machine, powered: tuple[bool, ...], level: float = 4.0) -> Recording:
+    """Return a run with a pulse and a pause of 0.5 s each; without power it has no effect."""
+    volts = np.tile(np.repeat([0.0, level, 0.0], PULSE), len(powered))[:, None]
     acting = volts * np.repeat(powered, 3 * PULSE)[:, None]
     time_s = 0.02 * np.arange(len(volts))
     outputs: Array = simulate(machine, time_s, acting).outputs
@@ -36,7 +36,7 @@ def run(machine: Machine, powered: tuple[bool, ...]) -> Recording:
         outputs = outputs + sensor.noise * np.random.default_rng(0).normal(size=outputs.shape)
     else:
         outputs = sensor.resolution * np.rint(outputs / sensor.resolution)
-    return Recording("run", time_s, volts, outputs)
+    return Recording(f"run_{level:g}V", time_s, volts, outputs)
 
 
 @pytest.mark.parametrize("kind", ["encoder", "speed"])
@@ -69,3 +69,12 @@ def test_stiction_is_no_lack_of_power(powered: tuple[bool, ...]) -> None:
     data = prepare_session([run(machine, powered)], machine, lambda _: None).data
     recordings = [run(machine, powered)]
     assert without_power(recordings, data.noise, data.quantum, machine) == []
+
+
+def test_one_failed_start_by_a_strong_push_suffices() -> None:
+    """4 V start the motor in another run, so that 8 V would do it for certain."""
+    machine = motor()
+    recordings = [run(machine, (False, True, True), 8.0), run(machine, (True, True))]
+    data = prepare_session(recordings, machine, lambda _: None).data
+    [part] = without_power(recordings, data.noise, data.quantum, machine)
+    assert (part.run, part.first, part.last, part.pushes) == ("run_8V", 0, 2 * PULSE - 1, 1)
