@@ -40,7 +40,7 @@ from ..judge.verdict import (
     fault_of_fitted_runs,
     remaining,
 )
-from ..predict.exact_machine import expected_chi2
+from ..predict.exact_machine import certain_jitter, expected_chi2
 from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION, innovation_variance
 from ..predict.stamp_errors import has_stamp_errors, prediction_changes, stamp_deviation
 from ..predict.start_uncertainty import prediction_residuals
@@ -548,11 +548,12 @@ def _predicted(evaluated: Evaluated, held_out: Dataset, *bandwidths: float) -> f
         held_out: Runs with the noise at rest.
         *bandwidths: Bandwidths of the observers, rad/s.
     """
+    jitter = certain_jitter(evaluated.after.machine, evaluated.outcome.data, held_out)
     machine, counts = evaluated.after.machine, sum(run.weights.sum(axis=0) for run in held_out.runs)
 
     def of_exact(bandwidth: float) -> float:
         if held_out.has_voltage_errors:
-            return expected_chi2(machine, held_out, bandwidth)
+            return expected_chi2(machine, held_out, bandwidth, jitter)
         variance, _ = innovation_variance(machine, held_out, bandwidth)
         changes = prediction_changes(machine, held_out, bandwidth) / held_out.noise
         return variance + float(np.average(changes**2, weights=counts))

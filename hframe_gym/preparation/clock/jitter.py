@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy.signal import savgol_filter
@@ -43,12 +44,9 @@ def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float)
         measured = np.isfinite(values)
         if np.count_nonzero(measured) < MIN_JITTER_ROWS:
             continue
-        speed = smooth_speed(time_s[measured], values[measured])
-        regular = np.linspace(time_s[measured][0], time_s[measured][-1], len(speed))
-        at_regular_times = values[measured] + speed * (regular - time_s[measured])
-        # at the middle of six samples
-        squares.append(np.diff(at_regular_times, n=5) ** 2 / _FIFTH_DIFFERENCE_VARIANCE)
-        speeds.append(np.abs(speed[2:-3]))
+        found = _fast_errors(time_s[measured], values[measured])
+        squares.append(found.errors**2)
+        speeds.append(np.abs(found.speeds))
         travels.append(speeds[-1] * np.median(np.diff(time_s[measured])))  # per row
     if not squares:
         return 0.0
@@ -61,6 +59,63 @@ def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float)
     jitter = math.sqrt(variance / float(np.median(speed[fast] ** 2))) if variance > noise**2 else 0.0
     period = float(np.median(np.concatenate([np.diff(time_s) for time_s in times])))
     return jitter if jitter <= _LARGEST_JITTER * period else 0.0
+
+
+def shared_jitter(times: Sequence[Array], first: Sequence[Array], second: Sequence[Array]) -> float:
+    """Estimate the jitter of the clock from what two encoders of different motions show in the same rows.
+
+    A row that was sampled late by dt has errors of dt * speed at both encoders. The product of these errors
+    has the sign of the product of the speeds, where the encoders turn alike and where they turn against each
+    other. Vibrations and forces that a model lacks have no such sign in both cases, so that the smaller one
+    of two estimates counts. Errors are fifth differences, as in `clock_jitter`.
+
+    Args:
+        times: Sample times by run, s, shape (n,) each.
+        first: Measurements of an encoder by run, rad or m, shape (n,) each, NaN where not measured.
+        second: Those of another encoder by run, rad or m, shape (n,) each.
+
+    Returns:
+        Standard deviation of the sampling time, s. 0 if the encoders do not show one, or if there are fewer
+        than 50 fast rows of either kind.
+    """
+    errors, speeds = [], []
+    for time_s, *values in zip(times, first, second, strict=True):
+        measured = np.isfinite(values).all(axis=0)
+        if np.count_nonzero(measured) < MIN_JITTER_ROWS:
+            continue
+        found = [_fast_errors(time_s[measured], value[measured]) for value in values]
+        errors.append(found[0].errors * found[1].errors)
+        speeds.append(found[0].speeds * found[1].speeds)
+    if not errors:
+        return 0.0
+    error, speed = np.concatenate(errors), np.concatenate(speeds)
+    variances = []
+    for rows in (np.flatnonzero(speed > 0.0), np.flatnonzero(speed < 0.0)):
+        fast = rows[np.abs(speed[rows]) > np.percentile(np.abs(speed[rows]), 75)] if len(rows) else rows
+        if len(fast) < MIN_JITTER_ROWS:
+            return 0.0
+        variances.append(float(error[fast] @ speed[fast] / (speed[fast] @ speed[fast])))
+    return math.sqrt(max(min(variances), 0.0))
+
+
+class _FastErrors(NamedTuple):
+    """Errors of measurements that smooth motion does not have, and the speeds there.
+
+    Attributes:
+        errors: Fifth differences with the variance of the measurements, m or rad, shape (n - 5,).
+        speeds: Speeds at the middle of six samples, m/s or rad/s, shape (n - 5,).
+    """
+
+    errors: Array
+    speeds: Array
+
+
+def _fast_errors(time_s: Array, values: Array) -> _FastErrors:
+    """Return the errors of a channel at equal steps, and its speeds."""
+    speed = smooth_speed(time_s, values)
+    regular = np.linspace(time_s[0], time_s[-1], len(speed))
+    at_regular_times = values + speed * (regular - time_s)
+    return _FastErrors(np.diff(at_regular_times, n=5) / math.sqrt(_FIFTH_DIFFERENCE_VARIANCE), speed[2:-3])
 
 
 def noise_by_row(time_s: Times, outputs: Measurements, noise: Array, jitter: float) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 from hframe_gym.effects import get_effect
 from hframe_gym.identification import Dataset, prepare
 from hframe_gym.identification.fit.estimation import prediction_cost
-from hframe_gym.identification.predict.exact_machine import expected_chi2
+from hframe_gym.identification.predict.exact_machine import certain_jitter, expected_chi2
 from hframe_gym.identification.predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH
 from hframe_gym.identification.predict.voltage_errors import with_voltage_errors
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
@@ -59,6 +59,26 @@ def test_sensors_without_noise_leave_nothing_else() -> None:
     """Errors of the voltages are in the statistics already."""
     data = slow_log(AXIS, laser_noise_m=0.0)
     assert 0.9 < expected_chi2(AXIS, data, SEARCH_BANDWIDTH) < 1.1
+
+
+def test_rows_that_were_sampled_late_have_errors_that_grow_with_speed() -> None:
+    jitter, data = 50e-6, slow_log(AXIS, laser_noise_m=0.0)
+    rng = np.random.default_rng(7)
+    late = [jitter * rng.normal(size=(len(run.time_s), 1)) for run in data.runs]
+    runs = [
+        dataclasses.replace(
+            run, outputs=run.outputs + np.gradient(run.outputs, run.time_s, axis=0) * lateness
+        )
+        for run, lateness in zip(data.runs, late, strict=True)
+    ]
+    jittered = dataclasses.replace(data, runs=tuple(runs))
+    measured = predicted(jittered)
+    assert measured > 2.0 * predicted(data)
+    assert 0.8 < measured / expected_chi2(AXIS, jittered, SEARCH_BANDWIDTH, jitter) < 1.2
+
+
+def test_one_encoder_confirms_no_jitter() -> None:
+    assert certain_jitter(AXIS, dataclasses.replace(exact_log(), jitter=1e-5)) == 0.0
 
 
 def test_a_machine_that_lacks_an_effect_leaves_more() -> None:

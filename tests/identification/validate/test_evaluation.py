@@ -54,7 +54,7 @@ def test_no_effect_is_not_said_above_twice_the_noise(left: float) -> None:
         (1.2, 1.05, ""),
         (2.2, 1.39, ""),  # an exact machine, five changes a row
         (4.1, 1.1, "4.1 times what noise and the unknown voltages"),  # a slow force, which predictions hide
-        (2.0, 1.66, "1.66 times what noise and the unknown voltages"),  # a resonance of the frame
+        (2.0, 1.66, "1.66 times what noise and the unknown voltages"),
         (math.nan, 1.0, "diverges"),
     ],
 )
