@@ -261,7 +261,12 @@ def test_the_held_out_runs_may_add_a_term_that_the_fitted_ones_do_not_show(
         )
 
     session = SimpleNamespace(machine=axis())
-    test = SimpleNamespace(errors=evaluation, session=session, criteria=SelectionCriteria())
+    test = SimpleNamespace(
+        errors=evaluation,
+        session=session,
+        criteria=SelectionCriteria(),
+        rounded_stamps_explain=lambda model: False,
+    )
     evaluated: Any = SimpleNamespace(test=test, outcome=SimpleNamespace(data=None))
     best, reference = confirmed(plain, evaluated)
     for_description = start_of_description(plain, evaluated)
