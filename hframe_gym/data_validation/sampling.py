@@ -292,7 +292,11 @@ def check_voltages_between_rows(data: Dataset, machine: Machine) -> list[Finding
     interpolated = with_voltage_errors(held.machine, runs.with_updates(updates.per_row))
     # Much is left: what the machine lacks may act as voltages do that come earlier.
     explained = updates.fitted < SelectionCriteria().explained_chi2
-    beside = "" if explained else ", unless the machine lacks an effect, with which it asks again"
+    beside = (
+        ""
+        if explained
+        else ", and asks again beside each effect that it finds, whose lack may look like this"
+    )
     message = (
         f"{updates.describe(machine.commands_in_words, data.period)}: "
         f"identification interpolates them{beside}; "

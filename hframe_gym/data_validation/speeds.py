@@ -12,6 +12,7 @@ from scipy.integrate import cumulative_trapezoid
 
 from ..arrays import Array
 from ..machine import Machine
+from ..preparation.forces.contradicted_sensors import forces_decide
 from ..preparation.sensors.contradicted_speeds import contradicted_speeds
 from ..preparation.sensors.noise import sensor_quantum
 from ..recordings import Recording
@@ -115,11 +116,14 @@ def check_speeds_in_parts(recordings: Sequence[Recording], machine: Machine) -> 
     Identification leaves out one of the two sensors.
     """
     findings = []
+    left_out = (
+        "the sensor whose motion follows less from the commands" if forces_decide(machine) else "the speed"
+    )
     for part in contradicted_speeds(recordings, machine):
         message = (
             f"is {part.ratio:.3g} times the speed at which {part.position} changes in rows {part.first + 1} "
             f"to {part.last + 1}, but not in other parts: the scale of one of the two sensors changes. "
-            "Identification leaves out the sensor whose motion follows less from the commands. If you know "
+            f"Identification leaves out {left_out}. If you know "
             f"which is wrong: hframe import FILE --map {part.speed}=none, or --map {part.position}=none"
         )
         findings.append(Finding("advice", part.run, part.speed, message))

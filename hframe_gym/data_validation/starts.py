@@ -39,12 +39,15 @@ def check_power(recordings: Sequence[Recording], data: Dataset, machine: Machine
         data: All runs prepared for a fit, for the noise of the sensors.
         machine: Machine as declared.
     """
-    findings = []
+    findings, by_name = [], {recording.name: recording for recording in recordings}
     for part in without_power(recordings, data.noise, data.quantum, machine):
+        time_s = by_name[part.run].time_s
+        end_s = time_s[part.last + 1] if part.first == 0 else time_s[part.first]
         message = (
             f"does not move {part.coordinate} in rows {part.first + 1} to {part.last + 1} ({part.pushes} "
-            "starts), although no larger command starts it elsewhere: was the amplifier off? Identification "
-            "does not use these rows; cut the log there (hframe import FILE --cut FROM:TO)"
+            "starts), although commands that are not larger start it elsewhere: was the amplifier off? "
+            f"Identification does not use these rows; cut the log at {end_s:.6g} s of this run "
+            "(hframe import FILE --cut FROM:TO)"
         )
         findings.append(Finding("advice", part.run, " and ".join(part.commands), message))
     return findings

@@ -18,8 +18,8 @@ from .dataset import Dataset, PreparedRecording
 from .forces.contradicted_sensors import without_contradictions
 from .forces.drive_signs import turned_coordinates, with_turned
 from .inputs.clock_voltages import clock_voltages
-from .runs.without_power import with_power, without_power
-from .sensors.drive_off import without_drives_off
+from .runs.without_power import WithoutPower, with_power, without_power
+from .sensors.drive_off import DriveOff, without_drives_off
 from .sensors.noise import independent_values, sensor_noise, sensor_quantum
 from .sensors.saturation import Range, without_saturated
 from .sensors.unmeasured_positions import without_unmeasured_positions
@@ -43,7 +43,9 @@ class Session(NamedTuple):
         machine: Machine as declared, but with the directions of the drives that the runs show, and without
             sensors of positions if no run measures any.
         recordings: The runs as logged, from their first measurement on if they do not begin at rest, and
-            unwrapped where only other runs tell how a sensor wraps.
+            unwrapped where only other runs tell how a sensor wraps. Without beginnings and ends in which the
+            drives have no effect. If a drive was off, or two sensors contradict each other, without unusable
+            measurements.
         usable: The recordings without unusable measurements, but with those at the end of a sensor's range.
         data: The runs prepared for a fit, without measurements at the end of a sensor's range.
         ranges: Ranges of the sensors that saturate, m or rad, by channel.
@@ -62,9 +64,11 @@ class Session(NamedTuple):
 def prepare_session(recordings: Sequence[Recording], machine: Machine, log: LineLog) -> Session:
     """Prepare all runs of a session for a fit, and log what is not used.
 
-    Position sensors without any measurement are left out, measurements are unwrapped and cleaned
-    (`usable_run`), and the sensors of coordinates that their drives move against the declared direction are
-    turned.
+    Position sensors without any measurement are left out, and measurements are unwrapped and cleaned
+    (`usable_run`). Rows are left out in which a drive seems to be off (`without_drives_off`,
+    `without_power`), and one of a speed and a position that contradict each other
+    (`without_contradictions`). The sensors of coordinates that their drives move against the declared
+    direction are turned.
 
     Args:
         recordings: Runs as logged.
@@ -87,17 +91,19 @@ def prepare_session(recordings: Sequence[Recording], machine: Machine, log: Line
     session = _prepared(recordings, machine, log)._replace(statements=statements)
     followed, off = without_drives_off(session.usable, machine)
     for rest in off:
-        rows = f"rows {rest.first + 1} to {rest.last + 1}"
-        log(f"{rest.run}: {rest.sensor} does not follow {rest.command} in {rows}, which are not used")
+        times = _interval(rest, followed)
+        log(f"{rest.run}: {rest.sensor} is not used {times}: it does not follow {rest.command}")
     if off:
         recordings = [from_first_measurement(recording, machine) for recording in followed]
         session = _prepared(recordings, machine, log)._replace(statements=statements)
     dead = without_power(session.usable, session.data.noise, session.data.quantum, machine)
-    for part in dead:
-        rows = f"rows {part.first + 1} to {part.last + 1}"
-        log(f"{part.run}: {' and '.join(part.commands)} without effect in {rows}, which are not used")
-    if dead:
-        recordings = with_power(recordings, dead)
+    powered = with_power(recordings, dead)
+    shorter = {after.name for before, after in zip(recordings, powered, strict=True) if after is not before}
+    for part in (part for part in dead if part.run in shorter):
+        times = _interval(part, recordings)
+        log(f"{part.run}: not used {times}: {' and '.join(part.commands)} without effect")
+    if shorter:
+        recordings = powered
         session = _prepared(recordings, machine, log)._replace(statements=statements)
     consistent, contradictions = without_contradictions(session.usable, session.data.runs, machine)
     if contradictions:
@@ -115,6 +121,12 @@ def prepare_session(recordings: Sequence[Recording], machine: Machine, log: Line
     turned_machine = with_turned(machine, turned)
     session = _prepared(recordings, turned_machine, log)
     return session._replace(statements=(*statements, *of_turned))
+
+
+def _interval(part: DriveOff | WithoutPower, recordings: Sequence[Recording]) -> str:
+    """Return from when to when a part of a run lasts; its rows may have other numbers than in the log."""
+    [time_s] = [recording.time_s for recording in recordings if recording.name == part.run]
+    return f"from {time_s[part.first]:.6g} s to {time_s[part.last]:.6g} s"
 
 
 def _prepared(recordings: Sequence[Recording], machine: Machine, log: LineLog) -> Session:

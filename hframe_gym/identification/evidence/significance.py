@@ -275,7 +275,7 @@ def _taken_force(without: Fit, with_effect: Fit, data: Dataset, *, accurate: boo
 
 
 def _forces_at_likeliest(without: Fit, tested: TestedFit, effect: AppliedEffect) -> Forces:
-    """Return the same forces at the most likely observer of the machine with the effect."""
+    """Return the forces at the most likely observer; noise of the motion is no force that remains."""
     likeliest, data = tested.likeliest, tested.data
     if not _is_forceless(effect):
         return _forces(without, likeliest, effect, data)

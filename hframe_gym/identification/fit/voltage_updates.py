@@ -111,8 +111,9 @@ def other_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> Vo
     """Check, after effects were found, whether the voltages change more or less often per row than assumed.
 
     The effects that the first count lacked caused an error that may have falsified it. Held voltages are
-    compared with changing ones again (`voltage_updates`). Otherwise the delay of the voltages must differ
-    clearly from that of the assumed number, and another number must pass
+    compared with changing ones again (`voltage_updates`). Smooth set points that are interpolated are held
+    after all if the effects leave no other sign of changes (`_held_after_all`). Otherwise the delay of the
+    voltages must differ clearly from that of the assumed number, and another number must pass
     `judge.voltages.another_rate_explains_more`; beside a delay of the drives, which makes up for any number,
     the errors alone decide (`number_with_clear_gains`).
 

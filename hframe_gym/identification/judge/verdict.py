@@ -47,7 +47,7 @@ class VerdictEvidence:
         reduction_by_chance: Value of `reduction` that effects which do not exist hardly ever reach.
         voltages_known: Whether the log contains all voltages.
         stamps_known: False if no effect is named, more than noise is left, and rounded stamps cause more
-            than noise as well.
+            than noise as well (`rounding_counts`).
         predicted: Squared error of predictions / that of an exact machine, which noise and unknown voltages
             or rounded stamps cause: the larger value of the widest observer and the one that judges effects.
             Only where voltages or stamps are not known, if no effect is named.
@@ -124,6 +124,17 @@ def remaining(after: float, before: float, floor: float) -> float:
     if not math.isfinite(left):
         return math.inf
     return 0.0 if left == 0.0 else left / total if total > 0.0 else math.inf
+
+
+def rounding_counts(changes: float) -> bool:
+    """Return whether rounded time stamps count beside the noise: they cause more of a simulation error.
+
+    Args:
+        changes: What other times with the same stamps change in the simulation, rms, in multiples of the
+            noise, of the sensor with the largest value. More than 1 counts. Infinite if the machine diverges
+            at such times: that tells nothing about the error.
+    """
+    return 1.0 < changes < math.inf
 
 
 def error_beyond_noise(motion: float, left: float) -> float:

@@ -36,10 +36,8 @@ def certain_jitter(machine: Machine, *sets: Dataset) -> float:
     """
     runs = [run for data in sets for run in data.runs]
     encoders = [j for j, sensor in enumerate(machine.sensors) if sensor.of_position and sensor.incremental]
-    times, by_sensor = (
-        [run.time_s for run in runs],
-        {j: [run.outputs[:, j] for run in runs] for j in encoders},
-    )
+    times = [run.time_s for run in runs]
+    by_sensor = {j: [run.outputs[:, j] for run in runs] for j in encoders}
     shared = (shared_jitter(times, by_sensor[i], by_sensor[j]) for i, j in combinations(encoders, 2))
     return min(min(shared, default=0.0), *(data.jitter for data in sets))
 

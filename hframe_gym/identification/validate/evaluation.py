@@ -39,6 +39,7 @@ from ..judge.verdict import (
     contradiction_of_no_effect,
     fault_of_fitted_runs,
     remaining,
+    rounding_counts,
 )
 from ..predict.exact_machine import certain_jitter, expected_chi2
 from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION, innovation_variance
@@ -193,9 +194,9 @@ class HeldOutTest:
             model: Machine with its errors.
         """
         data, most = self.complete_runs, self.criteria.max_noise_ratio_explained
-        if not model.held_out.noise_ratio > most or data.has_voltage_errors or not has_stamp_errors(data):
+        if not model.held_out.noise_ratio > most or (changes := _rounding(model.machine, data)) is None:
             return False
-        expected = np.hypot(data.noise, prediction_changes(model.machine, data, SIMULATION))
+        expected = np.hypot(data.noise, changes)
         by_run = [model.errors[run.name] for run in data.runs]
         channels = errors_by_channel(by_run, model.machine, expected)
         return PredictionErrors(channels, None).noise_ratio <= most
@@ -462,19 +463,31 @@ def describe_rounded_stamps(evaluated: Evaluated) -> str:
         evaluated: Outcome with the machine that is delivered.
 
     Returns:
-        Sentences; "" if another verdict than "no_effect" is given, stamps are not rounded, or only noise is
-        left.
+        Sentences; "" if another verdict than "no_effect" is given, rounded stamps cause no more than noise,
+        or only noise is left.
     """
     test, machine = evaluated.test, evaluated.after.machine
     data = test.complete_runs
     explained = evaluated.after.held_out.noise_ratio <= test.criteria.max_noise_ratio_explained
-    if evaluated.outcome.verdict != "no_effect" or explained or data.has_voltage_errors:
+    if evaluated.outcome.verdict != "no_effect" or explained:
         return ""
-    if not has_stamp_errors(data):
+    if (changes := _rounding(machine, data)) is None:
         return ""
     deviation = max(stamp_deviation(run, data) for run in data.runs)
-    expected = np.hypot(1.0, prediction_changes(machine, data, SIMULATION) / data.noise)
+    expected = np.hypot(1.0, changes / data.noise)
     return _ROUNDED.format(1e3 * deviation, float(np.sqrt(np.mean(expected**2))))
+
+
+def _rounding(machine: Machine, data: Dataset) -> Array | None:
+    """Return what rounded stamps change in a simulation, in the sensors' units, shape (sensors,).
+
+    None if they do not count (`rounding_counts`), or if voltages between the rows, which err by more, are
+    unknown.
+    """
+    if data.has_voltage_errors or not has_stamp_errors(data):
+        return None
+    changes = prediction_changes(machine, data, SIMULATION)
+    return changes if rounding_counts(float(np.max(changes / data.noise))) else None
 
 
 def _with_ranges(evaluated: Evaluated) -> Evaluated:
@@ -512,10 +525,9 @@ def _evidence(evaluated: Evaluated, differing: Sequence[str]) -> VerdictEvidence
 
     explained = evaluated.test.criteria.max_noise_ratio_explained
     more_than_noise = finite(errors(evaluated.after, expected).noise_ratio) > explained
-    rounded = False
-    if more_than_noise and not (names or held_out.has_voltage_errors) and has_stamp_errors(runs):
-        changes = prediction_changes(evaluated.after.machine, runs, SIMULATION)
-        rounded = bool(np.any(changes > held_out.noise))
+    changes = _rounding(evaluated.after.machine, runs) if more_than_noise and not names else None
+    rounded = changes is not None
+    if changes is not None:
         expected = np.hypot(expected, changes)
     before, after = (errors(model, expected) for model in (evaluated.before, evaluated.after))
     motion = after.motion_ratio
@@ -543,13 +555,15 @@ def _evidence(evaluated: Evaluated, differing: Sequence[str]) -> VerdictEvidence
 def _predicted(evaluated: Evaluated, held_out: Dataset, *bandwidths: float) -> float:
     """Return squared error of predictions / that of an exact machine, the largest one of some observers.
 
+    It is infinite if the machine diverges.
+
     Args:
         evaluated: Outcome with the machine that predicts.
         held_out: Runs with the noise at rest.
         *bandwidths: Bandwidths of the observers, rad/s.
     """
-    jitter = certain_jitter(evaluated.after.machine, evaluated.outcome.data, held_out)
     machine, counts = evaluated.after.machine, sum(run.weights.sum(axis=0) for run in held_out.runs)
+    jitter = certain_jitter(machine, evaluated.outcome.data, held_out)
 
     def of_exact(bandwidth: float) -> float:
         if held_out.has_voltage_errors:
@@ -558,12 +572,12 @@ def _predicted(evaluated: Evaluated, held_out: Dataset, *bandwidths: float) -> f
         changes = prediction_changes(machine, held_out, bandwidth) / held_out.noise
         return variance + float(np.average(changes**2, weights=counts))
 
-    return max(
-        prediction_cost(machine, held_out, bandwidth, longest_step=POLISH_STEP)
-        / held_out.count
-        / of_exact(bandwidth)
-        for bandwidth in bandwidths
-    )
+    def ratio(bandwidth: float) -> float:
+        found = prediction_cost(machine, held_out, bandwidth, longest_step=POLISH_STEP) / held_out.count
+        exact = of_exact(bandwidth)
+        return found / exact if math.isfinite(exact) else math.inf
+
+    return max(ratio(bandwidth) for bandwidth in bandwidths)
 
 
 def _agreeing(evaluated: Evaluated, differing: Sequence[str]) -> list[PreparedRecording]:

@@ -55,6 +55,15 @@ def without_contradictions(
     return cleaned, tuple(_statements(parts, of_position))
 
 
+def forces_decide(machine: Machine) -> bool:
+    """Return whether the drives' forces decide which sensor is left out; otherwise it is the speed.
+
+    They do not decide for drives that follow a set point, whose force is not known, and for machines with
+    belts, where the speed of one coordinate does not show the motion of all.
+    """
+    return not (machine.drive_laws or machine.belts)
+
+
 def _statements(parts: Sequence[ContradictedSpeed], of_position: bool) -> Iterator[str]:
     """Yield a sentence about each sensor that is left out."""
     for speed, position in dict.fromkeys((part.speed, part.position) for part in parts):
@@ -73,12 +82,8 @@ def _statements(parts: Sequence[ContradictedSpeed], of_position: bool) -> Iterat
 
 
 def _position_is_wrong(runs: Sequence[PreparedRecording], machine: Machine) -> bool:
-    """Decide whether the measured speeds follow from the drives' forces better than the positions do.
-
-    False for drives that follow a set point, whose force is not known, and for machines with belts, where
-    the speed of one coordinate does not show the motion of all.
-    """
-    if machine.drive_laws or machine.belts:
+    """Decide whether the measured speeds follow from the drives' forces better than the positions do."""
+    if not forces_decide(machine):
         return False
     of_position = machine.position_sensors
     sensors = tuple(sensor for sensor in machine.sensors if sensor.of_position)

@@ -7,7 +7,6 @@ no such case: its failed starts lie between others.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
@@ -109,7 +108,7 @@ def without_power(
 
 
 def with_power(recordings: Sequence[Recording], found: Sequence[WithoutPower]) -> list[Recording]:
-    """Leave out these beginnings and ends of runs, where enough rows remain."""
+    """Leave out these beginnings and ends of runs; a run of which too few rows would remain is kept whole."""
     kept = []
     for recording in recordings:
         first, end = 0, len(recording.time_s)
@@ -118,11 +117,7 @@ def with_power(recordings: Sequence[Recording], found: Sequence[WithoutPower]) -
                 first = max(first, part.last + 1) if part.first == 0 else first
                 end = min(end, part.first) if part.first else end
         shorter = end - first < len(recording.time_s) and end - first >= MIN_ROWS
-        kept.append(
-            dataclasses.replace(recording.rows(slice(first, end)), name=recording.name)
-            if shorter
-            else recording
-        )
+        kept.append(recording.rows(slice(first, end)) if shorter else recording)
     return kept
 
 

@@ -24,9 +24,8 @@ PARTS = 20  # of a run, whose motions are compared: long enough for the filter o
 MIN_PARTS = 5  # in a row with the same ratio; the lag of a filter spoils the ratio of one or two after a step
 _LARGEST_RATIO = 1.5  # a tachometer may be wrong by 20 %, and identification finds that
 _MOVES = 0.1  # of a large motion (the 90th percentile) in all parts; a ratio of less is that of noise
-_SCATTER = (
-    0.2  # of the logarithm of the ratio about its median, as a median; a lag has all ratios from 0 to 1
-)
+# Of the logarithm of the ratio about its median, as a median; a lag has all ratios from 0 to 1.
+_SCATTER = 0.2
 _MEDIAN = 5  # parts over which the ratio is smoothed, so that one outlier does not divide a part
 
 

@@ -20,7 +20,9 @@ from ...recordings import Recording
 
 _MIN_REST = 0.5  # s, without any change of set point or position; a drive may pause for a shorter time
 _MIN_ROWS = 5
-_STILL = 0.005  # of the spans of set point and position in all runs: what is no change, beside the noise
+# Of the set points' span in all runs: what is no change of a set point or position. A sensor with more noise
+# shows no rests.
+_STILL = 0.005
 # Fractions of the set points' span in all runs: rests where the machine followed agree within the first one,
 # and the second one is far more than friction leaves.
 _AGREES, _APART = 0.05, 0.1

@@ -156,7 +156,6 @@ def test_tracks_circles_on_randomized_machines(hframe: Machine, model_based: Mod
     assert np.mean(textbook.error**2) > 100.0 * np.mean(loop.error**2)
 
 
-@pytest.mark.oracle
 def test_known_teeth_that_pass_faster_than_the_periods_make_paths_better(
     hframe: Machine, model_based: ModelBasedController
 ) -> None:
@@ -170,6 +169,7 @@ def test_known_teeth_that_pass_faster_than_the_periods_make_paths_better(
     assert np.sqrt(np.mean(known**2)) < 0.7 * np.sqrt(np.mean(unknown**2))
 
 
+@pytest.mark.oracle
 def test_the_plan_is_the_least_squares_solution() -> None:
     """The reference is SciPy's solver, with the tool's responses from simulations of the linear machine."""
     machine = BUILTIN_MACHINES["hframe-linear"]()

@@ -9,15 +9,22 @@ import pytest
 
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import Dataset, identify, prepare
+from hframe_gym.identification import Dataset, SelectionCriteria, identify, prepare
+from hframe_gym.identification.fit.channel_errors import errors_by_channel
 from hframe_gym.identification.predict.prediction import SIMULATION
 from hframe_gym.identification.predict.stamp_errors import (
     has_stamp_errors,
     prediction_changes,
     stamp_deviation,
 )
-from hframe_gym.identification.validate.machine_errors import evaluate_held_out
+from hframe_gym.identification.validate.evaluation import HeldOutTest
+from hframe_gym.identification.validate.machine_errors import (
+    ModelEvaluation,
+    PredictionErrors,
+    evaluate_held_out,
+)
 from hframe_gym.machine import Machine
+from hframe_gym.preparation.session import prepare_session
 from hframe_gym.recordings import Recording
 from tests.identification.single_axis import AXIS
 
@@ -74,6 +81,18 @@ def test_the_exact_machine_leaves_what_rounded_stamps_change(data: Dataset) -> N
     assert expected > 5.0 * data.noise[0]
     assert 0.4 < left / expected < 2.5  # errors that add up are known that well
     assert prediction_changes(AXIS, data, 60.0)[0] < 0.5 * expected  # an observer takes them back
+
+
+@pytest.mark.parametrize(("in_noise", "explains"), [(0.8, False), (1.5, True)])
+def test_rounding_that_causes_less_than_noise_explains_nothing(in_noise: float, explains: bool) -> None:
+    """Beside noise as large, an error of 2.3 times the noise would pass for one of the stamps."""
+    session = prepare_session(stamped_runs(), AXIS, lambda _: None)
+    noise = prediction_changes(AXIS, session.data, SIMULATION) / in_noise
+    test = HeldOutTest(session, dataclasses.replace(session.data, noise=noise), SelectionCriteria())
+    errors = {run.name: np.full(run.outputs.shape, 2.3 * noise) for run in session.data.runs}
+    channels = errors_by_channel(list(errors.values()), AXIS, noise)
+    model = ModelEvaluation(AXIS, PredictionErrors(channels, None), errors)
+    assert test.rounded_stamps_explain(model) == explains
 
 
 @pytest.mark.integration

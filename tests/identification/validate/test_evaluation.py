@@ -22,6 +22,7 @@ from hframe_gym.identification.judge.verdict import (
     contradiction_of_names,
     contradiction_of_no_effect,
     remaining,
+    rounding_counts,
 )
 from hframe_gym.identification.propose.dependences import Dependence, agree_with_causes
 from hframe_gym.identification.search.outcome import SearchOutcome
@@ -82,6 +83,11 @@ def test_rounded_stamps_may_explain_an_error_that_predictions_do_not_have(
     reason = contradiction_of_no_effect(evidence, CRITERIA)
     assert contradiction in reason
     assert bool(contradiction) == bool(reason)
+
+
+@pytest.mark.parametrize(("changes", "counts"), [(0.99, False), (1.01, True), (math.inf, False)])
+def test_rounding_counts_if_it_causes_more_than_noise(changes: float, counts: bool) -> None:
+    assert rounding_counts(changes) == counts
 
 
 @pytest.mark.parametrize(

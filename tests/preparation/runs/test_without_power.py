@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from hframe_gym.arrays import Array
 from hframe_gym.data_validation import check_before_fit
 from hframe_gym.dynamics import simulate
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, Sensor
-from hframe_gym.preparation.runs.without_power import without_power
+from hframe_gym.preparation.runs.without_power import with_power, without_power
 from hframe_gym.preparation.session import prepare_session
 from hframe_gym.recordings import Recording
 
@@ -49,9 +51,33 @@ def test_beginnings_and_ends_without_power_are_not_used(kind: str) -> None:
     assert [finding.severity for finding in findings] == ["advice"] * 2
     assert f"rows 1 to {last} (3 starts)" in findings[0].message
     assert f"rows {first + 1} to {len(recorded.time_s)} (2 starts)" in findings[1].message
-    [prepared] = prepare_session([recorded], machine, lambda _: None).data.runs
+    for finding, row in zip(findings, (last, first), strict=True):
+        assert f"cut the log at {recorded.time_s[row]:.6g} s" in finding.message
+    lines: list[str] = []
+    [prepared] = prepare_session([recorded], machine, lines.append).data.runs
+    assert f"run_4V: not used from 0 s to {recorded.time_s[last - 1]:.6g} s: v_V without effect" in lines
     assert prepared.time_s[0] == pytest.approx(recorded.time_s[last])
     assert prepared.time_s[-1] == pytest.approx(recorded.time_s[first - 1])
+
+
+def test_a_log_may_be_a_row_late() -> None:
+    """Its rows at the beginning of a push show the motion that follows, which is no lack of rest."""
+    machine = motor()
+    recorded = run(machine, (False,) * 3 + (True,) * 4)
+    early = dataclasses.replace(recorded, outputs=np.vstack([recorded.outputs[1:], recorded.outputs[-1:]]))
+    data = prepare_session([early], machine, lambda _: None).data
+    [part] = without_power([early], data.noise, data.quantum, machine)
+    assert (part.first, part.last, part.pushes) == (0, 2 * 3 * PULSE + 2 * PULSE - 1, 3)
+
+
+def test_a_run_of_which_too_few_rows_would_remain_is_kept() -> None:
+    machine = motor()
+    recorded = run(machine, (False,) * 3 + (True,) * 2)
+    data = prepare_session([recorded], machine, lambda _: None).data
+    [part] = without_power([recorded], data.noise, data.quantum, machine)
+    [shorter] = with_power([recorded], [part])
+    assert len(shorter.time_s) == len(recorded.time_s) - part.last - 1
+    assert with_power([recorded], [part._replace(last=len(recorded.time_s) - 5)]) == [recorded]
 
 
 @pytest.mark.parametrize(
