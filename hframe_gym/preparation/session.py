@@ -73,8 +73,9 @@ def prepare_session(recordings: Sequence[Recording], machine: Machine, log: Line
     Args:
         recordings: Runs as logged.
         machine: Machine as declared.
-        log: Called with a line of text for everything that is left out, unwrapped or turned.
+        log: Called with a line of text for everything that is left out, unwrapped or turned, once for each.
     """
+    log = _once(log)
     recordings, machine, statements = without_unmeasured_positions(recordings, machine)
     for statement in statements:
         log(statement)
@@ -107,9 +108,9 @@ def prepare_session(recordings: Sequence[Recording], machine: Machine, log: Line
         session = _prepared(recordings, machine, log)._replace(statements=statements)
     consistent, contradictions = without_contradictions(session.usable, session.data.runs, machine)
     if contradictions:
-        for statement in contradictions:
-            log(statement)
         recordings, machine, unmeasured = without_unmeasured_positions(consistent, machine)
+        for statement in (*contradictions, *unmeasured):
+            log(statement)
         statements = (*statements, *contradictions, *unmeasured)
         session = _prepared(recordings, machine, log)._replace(statements=statements)
     turned = turned_coordinates(machine, session.data.runs)
@@ -121,6 +122,18 @@ def prepare_session(recordings: Sequence[Recording], machine: Machine, log: Line
     turned_machine = with_turned(machine, turned)
     session = _prepared(recordings, turned_machine, log)
     return session._replace(statements=(*statements, *of_turned))
+
+
+def _once(log: LineLog) -> LineLog:
+    """Return a log that passes on each line once: what is found changes how the session is prepared again."""
+    known: set[str] = set()
+
+    def logged(line: str) -> None:
+        if line not in known:
+            known.add(line)
+            log(line)
+
+    return logged
 
 
 def _interval(part: DriveOff | WithoutPower, recordings: Sequence[Recording]) -> str:

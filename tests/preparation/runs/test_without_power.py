@@ -60,6 +60,16 @@ def test_beginnings_and_ends_without_power_are_not_used(kind: str) -> None:
     assert prepared.time_s[-1] == pytest.approx(recorded.time_s[first - 1])
 
 
+def test_what_is_prepared_again_is_logged_once() -> None:
+    machine = motor()
+    lines: list[str] = []
+    with_outlier = run(machine, (True, True), 5.0)
+    with_outlier.outputs[2 * PULSE + 10] += 20.0
+    prepare_session([run(machine, (False,) * 3 + (True,) * 4), with_outlier], machine, lines.append)
+    assert sum("without effect" in line for line in lines) == 1
+    assert sum("outlier" in line for line in lines) == 1
+
+
 def test_a_log_may_be_a_row_late() -> None:
     """Its rows at the beginning of a push show the motion that follows, which is no lack of rest."""
     machine = motor()
