@@ -9,8 +9,10 @@ import pytest
 
 from hframe_gym.arrays import Array
 from hframe_gym.data_validation import check_before_fit
+from hframe_gym.data_validation.speeds import check_speeds_in_parts
 from hframe_gym.dynamics import simulate
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, Sensor
+from hframe_gym.preparation.forces.contradicted_sensors import without_contradictions
 from hframe_gym.preparation.sensors.contradicted_speeds import contradicted_speeds
 from hframe_gym.preparation.session import prepare_session
 from hframe_gym.recordings import Recording
@@ -71,6 +73,22 @@ def test_the_sensor_that_does_not_follow_from_the_voltages_is_left_out(wrong: st
         assert left_out[0] == 0.0
         assert left_out[1] == pytest.approx(0.5, abs=0.1)
     assert not any(np.isnan(run.outputs).any() for run in session.data.runs[1:])
+
+
+def test_where_the_forces_are_not_known_the_speed_is_left_out() -> None:
+    """A servo follows its set point, whatever force that takes."""
+    servo = BUILTIN_MACHINES["servo"]()
+    row = {servo.coordinate_names[0]: 1.0}
+    servo = servo.replace(sensors=tuple(dataclasses.replace(s, row=row) for s in motor().sensors))
+    first, *others = runs()
+    angle, speed = first.outputs.T.copy()
+    angle[HALF:] = angle[HALF] + 0.5 * (angle[HALF:] - angle[HALF])
+    faulty = [with_outputs(first, angle, speed), *others]
+    [finding] = check_speeds_in_parts(faulty, servo)
+    assert "Identification leaves out the speed. " in finding.message
+    cleaned, [statement] = without_contradictions(faulty, (), servo)
+    assert statement.endswith("speed_rad_s is left out there.")
+    assert list(np.isnan(cleaned[0].outputs).any(axis=0)) == [False, True]
 
 
 @pytest.mark.parametrize("lag_s", [0.0, 0.05])
