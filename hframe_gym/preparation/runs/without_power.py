@@ -2,7 +2,8 @@
 
 A command that starts the machine from rest later in the log, or in other runs, has no effect there. A fit
 would take such rows for dry friction that the other rows refute. Friction that differs from start to start is
-no such case: its failed starts lie between others.
+no such case: its failed starts lie between others. Nor is a spring, a weight or an end stop, against which a
+command starts the machine at one position and not farther in its direction: they stop it under a command.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ class _Push(NamedTuple):
     """Rows in which the drives push a resting coordinate in one direction.
 
     `force` is the largest force, signed, before the coordinate moves, N or Nm; `seconds` the time for which
-    nearly this force acts until it moves, or at all.
+    nearly this force acts until it moves, or at all. `stops` says whether it moves and rests at the end.
     """
 
     first: int
@@ -64,6 +65,7 @@ class _Push(NamedTuple):
     force: float
     seconds: float
     moves: bool
+    stops: bool
 
 
 def without_power(
@@ -93,12 +95,13 @@ def without_power(
         if not sensors:
             continue
         j = sensors[0]
+        speed, factor = machine.sensors[j].of_velocity, machine.sensors[j].row[coordinate]
+        tolerance = float(still[j] if speed else still[j] / abs(factor))
         pushes = []
         for recording in recordings:
-            values = recording.outputs[:, j]
-            if machine.sensors[j].of_velocity:
-                values = np.abs(values)
-            pushes.append(_pushes(recording.time_s, recording.inputs @ gains, values, float(still[j])))
+            values, force = recording.outputs[:, j], recording.inputs @ gains
+            values = np.abs(values) if speed else values / factor
+            pushes.append(_pushes(recording.time_s, force, values, tolerance, speed=speed))
         failed = _failed(pushes)
         for recording, own, fails in zip(recordings, pushes, failed, strict=True):
             for first, last, count in _ends(own, fails, len(recording.time_s)):
@@ -121,8 +124,11 @@ def with_power(recordings: Sequence[Recording], found: Sequence[WithoutPower]) -
     return kept
 
 
-def _pushes(time_s: Times, force: Array, values: Array, still: float) -> list[_Push]:
-    """Return the pushes of a run that begin at rest; those with too few measurements are left out."""
+def _pushes(time_s: Times, force: Array, values: Array, still: float, *, speed: bool) -> list[_Push]:
+    """Return the pushes of a run that begin at rest; those with too few measurements are left out.
+
+    The values are speeds, or else positions.
+    """
     signs = np.sign(force)
     edges = np.flatnonzero(np.diff(signs) != 0) + 1
     pushes = []
@@ -135,25 +141,31 @@ def _pushes(time_s: Times, force: Array, values: Array, still: float) -> list[_P
             continue
         if np.nanmax(before) - np.nanmin(before) > still:
             continue
-        moved = np.flatnonzero(np.abs(rows - before[np.isfinite(before)][-1]) > still)
+        at_rest = before[np.isfinite(before)][-1]
+        moved = np.flatnonzero(np.abs(rows - at_rest) > still)
+        last = rows[np.isfinite(rows)][-_REST_ROWS - 1 :]
+        moves = len(moved) > 0
+        stops = moves and abs(last[-1] - (at_rest if speed else last[0])) <= still
         until = min(first + int(moved[0]), end - 1) if len(moved) else end - 1
         largest = float(np.abs(force[first : until + 1]).max())
         acting = first + int(np.argmax(np.abs(force[first : until + 1]) >= _FULL * largest))
         seconds = float(time_s[min(until + 1, len(time_s) - 1)] - time_s[acting])
-        pushes.append(_Push(first, end, float(signs[first]) * largest, seconds, bool(len(moved))))
+        pushes.append(_Push(first, end, float(signs[first]) * largest, seconds, moves, bool(stops)))
     return pushes
 
 
 def _failed(pushes: Sequence[Sequence[_Push]]) -> list[list[int]]:
-    """Return for each push how much its failure counts: 0 if no weaker or equal ones succeed elsewhere."""
+    """Return for each push how much its failure counts: 0 if no weaker or equal ones succeed elsewhere.
+
+    It counts 0 as well if one in its direction stops the machine, as a spring does.
+    """
     starts = [push for own in pushes for push in own if push.moves]
 
     def fails(push: _Push, margin: float) -> bool:
-        weaker = [
-            start.seconds
-            for start in starts
-            if start.force * push.force > 0.0 and margin * abs(start.force) <= abs(push.force)
-        ]
+        alike = [start for start in starts if start.force * push.force > 0.0]
+        if any(start.stops for start in alike):
+            return False
+        weaker = [start.seconds for start in alike if margin * abs(start.force) <= abs(push.force)]
         long_enough = max(_SHORTEST, _LONGER * max(weaker, default=0.0))
         return not push.moves and len(weaker) >= _MIN_STARTS and push.seconds >= long_enough
 

@@ -10,7 +10,8 @@ import pytest
 from hframe_gym.arrays import Array
 from hframe_gym.data_validation import check_before_fit
 from hframe_gym.dynamics import simulate
-from hframe_gym.machine import BUILTIN_MACHINES, Machine, Sensor
+from hframe_gym.effects import EFFECTS
+from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine, Sensor
 from hframe_gym.preparation.runs.without_power import with_power, without_power
 from hframe_gym.preparation.session import prepare_session
 from hframe_gym.recordings import Recording
@@ -114,3 +115,13 @@ def test_one_failed_start_by_a_strong_push_suffices() -> None:
     data = prepare_session(recordings, machine, lambda _: None).data
     [part] = without_power(recordings, data.noise, data.quantum, machine)
     assert (part.run, part.first, part.last, part.pushes) == ("run_8V", 0, 2 * PULSE - 1, 1)
+
+
+@pytest.mark.parametrize(("stiffness", "level"), [(0.02, 2.0), (0.02, 1.6), (0.05, 1.6)])
+def test_a_spring_that_friction_holds_is_no_lack_of_power(stiffness: float, level: float) -> None:
+    """The spring ends the first motion and holds against equal commands afterwards."""
+    machine = motor().replace({"shaft.mass": 1e-3, "shaft.coulomb": 0.05})
+    spring = AppliedEffect(EFFECTS["cable_spring"], "shaft", {"k": stiffness, "q0": 0.0})
+    recordings = [run(machine.with_effects(spring), (True,) * 8, level)]
+    data = prepare_session(recordings, machine, lambda _: None).data
+    assert without_power(recordings, data.noise, data.quantum, machine) == []
