@@ -37,7 +37,7 @@ def parameter_values(label: str, fitted: Fit) -> tuple[ParameterValue, ...]:
         covered = (limited.lower, limited.upper) if limited is not None else None
         limits = tuple({p.lower, p.upper} - {0.0, *p.grid})
         unit = fitted.machine.effect_unit(effect, p.name)
-        value, below = effect.parameters[p.name], p.role == "rate"
+        value, below = effect.parameters[p.name], p.role == "rate" or p.unit == "Hz"
         values.append(ParameterValue(p.name, unit, value, limits, covered, below, simpler))
     return tuple(values)
 

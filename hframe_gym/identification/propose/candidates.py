@@ -24,7 +24,7 @@ from ..forces.missing_force import follow_runs, missing_force, sensor_errors
 from ..predict.free_parameters import FreeParameter
 from ..predict.prediction import SEARCH_BANDWIDTH
 from .periodogram import MIN_FORCE_PERIODS, MIN_FRICTION_PERIODS
-from .typical_scales import SESSION, TypicalScales, typical_scales
+from .typical_scales import LONGEST_RUN, SESSION, TypicalScales, typical_scales
 
 _LEAST_PERIOD_PRIOR = 0.1  # relative
 _ROUNDING = 0.01  # relative; predictions with different observers have slightly different travels
@@ -350,11 +350,11 @@ def covered_by_runs(parameter: EffectParameter) -> bool:
         parameter: Parameter of an effect.
 
     Returns:
-        True for periods and spatial rates, speed scales, and time constants of changes over the session;
-        False for all others, such as amplitudes.
+        True for periods and spatial rates, speed scales, natural frequencies, and time constants of changes
+        over the session; False for all others, such as amplitudes.
     """
     return parameter.role in ("period", "rate") or (
-        parameter.role == "shape" and parameter.unit in ("speed", "s")
+        parameter.role == "shape" and parameter.unit in ("speed", "s", "Hz")
     )
 
 
@@ -362,7 +362,8 @@ def coverage(parameter: EffectParameter, scales: Mapping[str, float]) -> tuple[f
     """Return the smallest and largest value of an effect's parameter that the runs can determine.
 
     A period longer than the travel cannot be distinguished from a slope, a speed scale above the highest
-    speed from viscous friction, a time constant longer than the session from a change at a constant rate.
+    speed from viscous friction, a time constant longer than the session from a change at a constant rate. A
+    load that does not complete one oscillation within a run acts like a spring and friction.
 
     Args:
         parameter: Parameter of the effect.
@@ -374,6 +375,8 @@ def coverage(parameter: EffectParameter, scales: Mapping[str, float]) -> tuple[f
     """
     if not covered_by_runs(parameter):
         return -np.inf, np.inf
+    if parameter.unit == "Hz":
+        return 1.0 / scales.get(LONGEST_RUN, np.inf), np.inf
     if parameter.role == "rate":
         return 2 * np.pi * MIN_FORCE_PERIODS / scales.get("position", np.inf), np.inf
     key = "position" if parameter.role == "period" else SESSION if parameter.unit == "s" else parameter.unit

@@ -17,6 +17,7 @@ from ..predict.prediction import map_runs, predict
 
 _NO_MOTION = 1e-9  # m or rad, m/s or rad/s, V, A; size where nothing moves or acts, which permits a division
 SESSION = "session"  # key of the time from the first to the last fitted row, s, in `TypicalScales.general`
+LONGEST_RUN = "run"  # key of the duration of the longest fitted run, s, likewise
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,7 @@ class TypicalScales:
             "A" (its current, A), "1/A^2", "1/W".
         general: Sizes of the belts, by key: "m" (extension, m), "N" (force, N), "1/m^2" (1 / extension^2).
             "session": time from the beginning of the first fitted run to the end of the last one, s.
+            "run": duration of the longest fitted run, s.
     """
 
     by_coordinate: Mapping[str, Mapping[str, float]]
@@ -46,8 +48,8 @@ class TypicalScales:
         Returns:
             Typical size, SI, by key. Of the coordinate: "mass", "force", "speed", "position", "viscous"
             (force / speed), "drag" (force / speed^2), "stiffness" (force / position); with a drive,
-            "voltage", "A" (current), "1/A^2", "1/W". General: "session" (time of all fitted runs, s);
-            with belts, "m" (extension), "N" (force), "1/m^2".
+            "voltage", "A" (current), "1/A^2", "1/W". General: "session" (time of all fitted runs, s),
+            "run" (duration of the longest one, s); with belts, "m" (extension), "N" (force), "1/m^2".
         """
         return {**self.general, **self.by_coordinate.get(coordinate, {})}
 
@@ -121,8 +123,8 @@ def typical_scales(current: Fit, data: Dataset) -> TypicalScales:
         data: Runs that were fitted.
 
     Returns:
-        The sizes of `scales_of_motion`, and in `general` also "session": the time from the beginning of the
-        first run to the end of the last one, s.
+        The sizes of `scales_of_motion`, and in `general` also "session", the time from the beginning of the
+        first run to the end of the last one, s, and "run", the duration of the longest run, s.
     """
     motions = list(
         map_runs(
@@ -136,4 +138,6 @@ def typical_scales(current: Fit, data: Dataset) -> TypicalScales:
     # Runs share the clock of the rig. Those to which nothing is fitted, such as held-out ones, do not extend
     # it: they say nothing of a parameter.
     session = max(float(run.time_s[-1]) for run in data.runs) - min(float(run.time_s[0]) for run in data.runs)
-    return dataclasses.replace(scales, general={**scales.general, SESSION: session})
+    longest = max(float(run.time_s[-1] - run.time_s[0]) for run in data.runs)
+    durations = {SESSION: session, LONGEST_RUN: max(longest, data.period)}
+    return dataclasses.replace(scales, general={**scales.general, **durations})

@@ -10,12 +10,15 @@ import numpy as np
 import pytest
 
 from hframe_gym.effects import EFFECTS, register_effect, unregister_effect
+from hframe_gym.identification.evidence.effect_parameters import parameter_values
 from hframe_gym.identification.judge.criteria import SelectionCriteria
+from hframe_gym.identification.judge.effect import parameter_at_limit
 from hframe_gym.identification.propose.candidates import Candidate, SearchState, candidates, effect_parameters
 from hframe_gym.identification.propose.periodogram import periodogram_peaks, slow_rates
-from hframe_gym.identification.propose.typical_scales import TypicalScales
+from hframe_gym.identification.propose.typical_scales import LONGEST_RUN, TypicalScales
 from hframe_gym.identification.search.tables import table_candidates
 from hframe_gym.machine import Machine
+from tests.identification.scripted_fits import fit_with
 from tests.identification.single_axis import AXIS, axis_runs
 
 
@@ -75,6 +78,23 @@ def test_the_recorded_motion_limits_what_a_fit_may_reach(hframe: Machine) -> Non
     beyond = effect_parameters(EFFECTS["dahl_hysteresis"].at("x", F=1.0, L=0.08), hframe, scales)
     # a declared effect stays
     assert {f.name: f.upper for f in beyond}["dahl_hysteresis@x.L"] == pytest.approx(0.08)
+
+
+def test_a_load_swings_once_at_least_within_a_run(hframe: Machine) -> None:
+    """A slower one is a spring with friction; it was named beside a friction of another form."""
+    scales = TypicalScales({"y": {"mass": 1.0}}, {LONGEST_RUN: 2.0})
+    for natural, least in ((1.6, 0.5), (0.3, 0.3)):  # a declared one stays
+        swing = EFFECTS["payload_swing"].at("y", f0=natural, zeta=0.1, r=0.1)
+        machine = hframe.with_effects(swing)
+        free = effect_parameters(swing, machine, scales)
+        assert {f.name: f.lower for f in free}["payload_swing@y.f0"] == pytest.approx(least)
+    slow = swing.definition.at("y", f0=0.5, zeta=0.1, r=0.1)
+    limited = dataclasses.replace(fit_with(chi2=1.0), machine=hframe.with_effects(slow))
+    limited = dataclasses.replace(limited, free=effect_parameters(slow, limited.machine, scales))
+    values = parameter_values(slow.label, limited)
+    assert parameter_at_limit(values).startswith("fits only with f0 at the limit of what the runs cover")
+    unlimited = tuple(dataclasses.replace(v, covered=(0.2, 500.0)) for v in values if v.name == "f0")
+    assert parameter_at_limit(unlimited) == ""
 
 
 def test_a_force_has_at_least_one_period(hframe: Machine) -> None:
