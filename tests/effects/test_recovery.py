@@ -55,7 +55,7 @@ def test_parameters_are_recovered(case: Case, hframe: Machine) -> None:
     # components.
     machine = hframe.with_effects(case.effect).replace(near(case))
     free = effect_parameters(machine.effects[0], machine, scale)
-    result = fit(machine, free, data, SIMULATION, longest_step=POLISH_STEP)
+    result = fit(machine, free, data, SIMULATION, longest_step=POLISH_STEP, tolerance=1e-6)
     assert result.chi2 < 1.3
     for p in case.effect.definition.parameters:
         error = result.machine.effects[0].parameters[p.name] - case.parameters[p.name]

@@ -83,5 +83,6 @@ def test_the_report_says_why_so_much_is_left(verdict: str, unstable: bool, claus
         proposed_formulas=(),
         unknown_voltages=None,
         unstable=unstable,
+        rounded_stamps=False,
     )
     assert clause in reason_of_remainder(report)
