@@ -36,7 +36,7 @@ class StateSpace(NamedTuple):
     Attributes:
         A: System matrix, shape (states, states). States are all positions (m, rad), then all velocities (m/s,
             rad/s).
-        B: Input matrix, shape (states, drives); inputs are voltages, V.
+        B: Input matrix, shape (states, drives); inputs are the commands of the drives, V for voltage drives.
         C: Output matrix, shape (sensors, states); outputs are sensor readings in their units.
         D: Feedthrough matrix, shape (sensors, drives); zero unless a sensor measures a current or an
             acceleration.
@@ -77,9 +77,10 @@ def stiffness_matrix(machine: Machine, position: ArrayLike | None = None) -> Arr
 def linearize(machine: Machine, position: ArrayLike | None = None) -> StateSpace:
     """Linearize the equations of motion about rest, without Coulomb friction and effects.
 
-    A drive with a law is linear about its set point; the memory of its controller keeps its value. The
-    back-EMF of a drive acts as viscous friction of its coordinate. The equations are differentiated by a
-    complex step, exact to rounding (Squire and Trapp 1998). `StateSpace` states the shape of each matrix.
+    A drive with a torque law, such as a servo (`Machine.drive_laws`), is linear near its set point; the
+    states of its controller, such as an integral, are held constant. The back-EMF of a drive acts as viscous
+    friction of its coordinate. The equations are differentiated by a complex step, exact to rounding (Squire
+    and Trapp 1998). `StateSpace` states the shape of each matrix.
 
     Args:
         position: Operating point with unstretched belts: position of every coordinate, m or rad,
@@ -115,17 +116,18 @@ def evaluate_beside_rest(
         Accelerations, m/s^2 or rad/s^2, shape (rows, n), and readings in the sensors' units,
         shape (rows, sensors).
     """
-    n, count = len(position), len(deviations)
+    n, rows = len(position), len(deviations)
     positions, velocities = position + deviations[:, :n], deviations[:, n : 2 * n]
     point, voltages = equations.point(positions, velocities), list(deviations[:, 2 * n :].T)
-    accelerations = equations.accelerations(point, voltages, np.zeros_like)
-    in_units = [a * equations.per_radius(i) for i, a in enumerate(accelerations)]
+    no_direction = np.zeros_like  # of motion, for every speed, so that Coulomb friction is 0
+    belt_accelerations = equations.accelerations(point, voltages, no_direction)
+    accelerations = [a * equations.per_radius(i) for i, a in enumerate(belt_accelerations)]
     motor_voltages = equations.motor_voltages(voltages)
     currents = [equations.current(j, point, motor_voltages) for j in range(len(voltages))]
-    readings = equations.sensor_readings(list(positions.T), list(velocities.T), in_units, currents)
+    readings = equations.sensor_readings(list(positions.T), list(velocities.T), accelerations, currents)
     return tuple(  # type: ignore[return-value]
-        np.array([np.broadcast_to(value, count) for value in values]).reshape(-1, count).T
-        for values in (in_units, readings)
+        np.array([np.broadcast_to(value, rows) for value in values]).reshape(-1, rows).T
+        for values in (accelerations, readings)
     )
 
 
@@ -161,10 +163,10 @@ def resolved_step(machine: Machine, longest_step: float, *, delays: bool = True)
 
     Steps that are too long for a stiff belt change the frequency of its vibration, and much longer ones make
     the integrator diverge. The step is therefore at most 0.75 / the highest rate (rad/s): the highest natural
-    frequency of the belts at position 0, that of parts that effects add, with their damping
-    (`Effect.fastest`), or the largest eigenvalue of the linear model where a drive follows a set point. It is
-    shorter for voltages that act with a delay: they change inside a step, whose error falls with the square
-    of its length. Dampers of contacts (`Effect.damping`) need no shorter step.
+    frequency of the belts at position 0, the rate of parts that effects add, with their damping
+    (`Effect.fastest`), or the largest eigenvalue of the linear model where a drive follows a set point. For
+    voltages that act with a delay, it is at most 0.4 times the longest step: they change inside a step, whose
+    error falls with the square of its length. Dampers of contacts (`Effect.damping`) need no shorter step.
 
     The step is between a hundredth of `longest_step`, s, and `longest_step`. A machine that needs shorter
     steps has a wrong mass or stiffness, and its simulation then ends with an error instead of running out of

@@ -50,36 +50,24 @@ def test_no_effect_is_not_said_above_twice_the_noise(left: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("left", "predicted", "contradiction"),
+    ("unknown", "left", "predicted", "contradiction"),
     [
-        (1.2, 1.05, ""),
-        (2.2, 1.39, ""),  # an exact machine, five changes a row
-        (4.1, 1.1, "4.1 times what noise and the unknown voltages"),  # a slow force, which predictions hide
-        (2.0, 1.66, "1.66 times what noise and the unknown voltages"),
-        (math.nan, 1.0, "diverges"),
+        ("voltages_known", 1.2, 1.05, ""),
+        ("voltages_known", 2.2, 1.39, ""),  # an exact machine, five changes a row
+        # a slow force, which predictions hide
+        ("voltages_known", 4.1, 1.1, "4.1 times what noise and the unknown voltages"),
+        ("voltages_known", 2.0, 1.66, "1.66 times what noise and the unknown voltages"),
+        ("voltages_known", math.nan, 1.0, "diverges"),
+        ("stamps_known", 1.9, 1.2, ""),
+        ("stamps_known", 2.1, 1.2, "2.1 times what noise and the rounding of the time stamps cause"),
+        ("stamps_known", 1.0, 1.6, "1.6 times what noise and the rounding of the time stamps cause"),
     ],
 )
-def test_unknown_voltages_of_a_slow_log_may_explain_its_error(
-    left: float, predicted: float, contradiction: str
+def test_unknown_voltages_or_stamps_may_explain_an_error_that_predictions_do_not_have(
+    unknown: str, left: float, predicted: float, contradiction: str
 ) -> None:
-    evidence = dataclasses.replace(EXACT, left=left, predicted=predicted, voltages_known=False)
-    reason = contradiction_of_no_effect(evidence, CRITERIA)
-    assert contradiction in reason
-    assert bool(contradiction) == bool(reason)
-
-
-@pytest.mark.parametrize(
-    ("left", "predicted", "contradiction"),
-    [
-        (1.9, 1.2, ""),
-        (2.1, 1.2, "2.1 times what noise and the rounding of the time stamps cause"),
-        (1.0, 1.6, "1.6 times what noise and the rounding of the time stamps cause"),
-    ],
-)
-def test_rounded_stamps_may_explain_an_error_that_predictions_do_not_have(
-    left: float, predicted: float, contradiction: str
-) -> None:
-    evidence = dataclasses.replace(EXACT, left=left, predicted=predicted, stamps_known=False)
+    changes: dict[str, Any] = {"left": left, "predicted": predicted, unknown: False}
+    evidence = dataclasses.replace(EXACT, **changes)
     reason = contradiction_of_no_effect(evidence, CRITERIA)
     assert contradiction in reason
     assert bool(contradiction) == bool(reason)
